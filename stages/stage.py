@@ -1,0 +1,121 @@
+"""The shape that every stage shares, and what a stage sees of the pipeline around it.
+
+A stage is a plain class with ``name``, ``version``, ``inputs``, ``outputs``, a frozen ``Config``
+section and ``run(ctx)``. It reads and writes typed topics through the context and knows nothing
+of files, recordings or the terminal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from spinpipe.schemas.topics import Topic
+
+T = TypeVar("T")
+R = TypeVar("R")
+C = TypeVar("C", covariant=True)
+
+
+class StageError(Exception):
+    """Something that the user can mend; the message says what, where and what to do."""
+
+
+class Section(BaseModel):
+    """Base of every config section: frozen, and no unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Progress(Protocol):
+    """A counter shown to the user while a stage works."""
+
+    def advance(self, steps: int = 1) -> None:
+        """Count ``steps`` more as done."""
+        ...
+
+
+class Context(Protocol[C]):
+    """What a stage sees of the run: its section, its topics, its random numbers, its limits."""
+
+    @property
+    def config(self) -> C:
+        """The stage's own section of the config."""
+        ...
+
+    @property
+    def rng(self) -> np.random.Generator:
+        """A generator seeded from ``(run.seed, stage name)``: the same at every run."""
+        ...
+
+    @property
+    def threads(self) -> int:
+        """How many threads compiled kernels may use, at least 1."""
+        ...
+
+    @property
+    def memory_bytes(self) -> int:
+        """How much memory the stage may use; work is cut into pieces that fit."""
+        ...
+
+    @property
+    def scratch(self) -> Path:
+        """A folder for temporary files of this stage, removed when the stage ends."""
+        ...
+
+    def read(self, topic: Topic[T]) -> Sequence[T]:
+        """Messages of a topic that an earlier stage wrote, decoded as they are asked for.
+
+        The sequence can be pickled and indexed, so a worker reads only what it needs.
+        """
+        ...
+
+    def read_one(self, topic: Topic[T]) -> T:
+        """The only message of a topic."""
+        ...
+
+    def write(self, topic: Topic[T], message: T) -> None:
+        """Append a message to one of the stage's own output topics."""
+        ...
+
+    def recovered(self, topic: Topic[T]) -> Sequence[T]:
+        """What an interrupted run of this very stage and key had already written to ``topic``.
+
+        Those messages are part of the output already and must not be written again.
+        """
+        ...
+
+    def progress(self, label: str, total: int) -> Progress:
+        """Start a counter with ``total`` steps."""
+        ...
+
+    def map(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+        """``function`` of every item, in order, computed by the run's engine.
+
+        The function and its items must be picklable: the engine may run on other machines.
+        """
+        ...
+
+    def log(self, text: str) -> None:
+        """Note one line for the run's report."""
+        ...
+
+
+class Stage(Protocol):
+    """One step of the pipeline: a name, its topics, its section and ``run``."""
+
+    name: ClassVar[str]
+    """Config section, stem of the MCAP file and root of the Rerun entities."""
+    version: ClassVar[int]
+    """Raised whenever the same input and config would give another output."""
+    inputs: ClassVar[tuple[Topic[Any], ...]]
+    outputs: ClassVar[tuple[Topic[Any], ...]]
+    Config: ClassVar[type[Section]]
+
+    def run(self, ctx: Context[Any]) -> None:
+        """Read the inputs, compute, write the outputs; raise ``StageError`` on bad input."""
+        ...
