@@ -1,0 +1,264 @@
+"""Records that travel between stages: frozen dataclasses, one for each message on a topic.
+
+Frames: ``scene`` as imported; ``local`` = (scene - origin) * scale, metres; ``world`` = local
+turned upright, ground at z = 0; ``model`` = coordinates of a model's file; ``object`` = the
+model upright in metres, base centre at the origin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I32 = NDArray[np.int32]
+I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class CloudTile:
+    """A piece of the cloud: points near each other, in the local frame."""
+
+    xyz: F32
+    """(N, 3) metres, local frame."""
+    rgb: U8
+    """(N, 3); white where the source has no colours."""
+
+
+@dataclass(frozen=True)
+class TileIndex:
+    """Bounds of every cloud tile, row i for message i of the cloud topic."""
+
+    low: F32
+    """(T, 3) metres, local frame."""
+    high: F32
+    """(T, 3) metres, local frame."""
+    counts: I64
+    """(T,) points."""
+
+
+@dataclass(frozen=True)
+class SceneFrame:
+    """How the imported scene became the local frame: ``local = (scene - origin) * scale``."""
+
+    origin: Vector
+    """In scene coordinates."""
+    scale: float
+    """Metres per unit of the scene."""
+    points: int
+    dropped: int
+    """Points left out because a coordinate is not finite."""
+    coloured: bool
+    source: str
+    """Name of the imported file or folder."""
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """Where the photos were taken from."""
+
+    positions: F64
+    """(C, 3) metres, local frame."""
+    quaternions_xyzw: F64
+    """(C, 4) rotation camera -> local; a camera looks along its +z, its -y is up."""
+
+
+@dataclass(frozen=True)
+class InstancePoses:
+    """Poses of the accepted instances, for viewers."""
+
+    positions: F64
+    """(N, 3) metres, world: base centres."""
+    quaternions_xyzw: F64
+    """(N, 4) rotation object -> world."""
+
+
+@dataclass(frozen=True)
+class ObjectModel:
+    """A model of an object: a cloud of its visible surface, and its mesh where there is one."""
+
+    name: str
+    points: F32
+    """(N, 3) metres, object frame."""
+    normals: F32
+    """(N, 3) unit normals, all zero where the model has none."""
+    vertices: F32
+    """(V, 3) metres, object frame; (0, 3) for a model given as a cloud."""
+    faces: I32
+    """(F, 3) rows of ``vertices``; (0, 3) for a cloud."""
+    T_object_model: F64
+    """(4, 4) similarity from the model file's coordinates to the object frame."""
+    visible_from: str
+    """``"all"`` or ``"above"``: which part of the surface the sensor could see."""
+    stretch: float = 0.0
+    """Largest relative change of length along each axis; 0 for a rigid object."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One reason for the sign of up: positive speaks for the normal, negative against it."""
+
+    name: str
+    value: float
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The ground in the local frame: ``dot(normal, p) + offset = 0``, the normal points up."""
+
+    normal: Vector
+    offset: float
+    inliers: int
+    points: int
+    """Points that took part in the estimate."""
+    rms_m: float
+    """Root mean square distance of the inliers."""
+    inlier_distance_m: float
+    up_source: str
+    """What decided which way is up."""
+    evidence: tuple[Evidence, ...] = ()
+
+
+@dataclass(frozen=True)
+class Upright:
+    """The rigid transform from local to world: rotation, then translation."""
+
+    quaternion_xyzw: tuple[float, float, float, float]
+    translation: Vector
+
+    @property
+    def T_world_local(self) -> F64:
+        """(4, 4) matrix of the transform."""
+        x, y, z, w = self.quaternion_xyzw
+        T = np.eye(4)
+        T[:3, :3] = [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+        T[:3, 3] = self.translation
+        return T
+
+
+@dataclass(frozen=True)
+class SpinImage:
+    """A spin image about the vertical axis: rows go down from the origin, columns outwards."""
+
+    model: str
+    role: str
+    """``"model"``, or ``"scene"`` for the origin that matches best."""
+    radius_m: float
+    height_m: float
+    bin_m: float
+    values: F32
+    """(rows, columns) counts."""
+    origin: Vector
+    """World frame for a scene image, object frame for a model image."""
+    correlation: float
+    """With the model's image; 1 for the model itself."""
+
+
+@dataclass(frozen=True)
+class ScoreTile:
+    """Origins of one tile with their correlation for each model: message i is tile i."""
+
+    models: tuple[str, ...]
+    points: F32
+    """(N, 3) metres, world."""
+    correlation: F32
+    """(N, models)."""
+    rgb: U8
+    """(N, 3) the best correlation as a colour, for viewers."""
+
+
+@dataclass(frozen=True)
+class Hits:
+    """Origins whose correlation with one model reached the threshold."""
+
+    model: str
+    points: F32
+    """(N, 3) metres, world."""
+    correlation: F32
+    """(N,)."""
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """A group of hits that stands for one possible instance: a candidate."""
+
+    id: int
+    model: str
+    position: Vector
+    """World, metres."""
+    hits: int
+    correlation: float
+    """The largest of its hits."""
+    method: str
+
+
+@dataclass(frozen=True)
+class FitTrace:
+    """How the registration of one candidate went, start by start."""
+
+    cluster: int
+    start_heading_deg: F64
+    """(S,) heading each start began with."""
+    rms_m: F32
+    """(S, iterations); NaN where a start had stopped."""
+    poses: F64
+    """(iterations, 4, 4) T_world_object of the best start."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One named number that took part in a decision."""
+
+    name: str
+    value: float
+
+
+@dataclass(frozen=True)
+class Detection:
+    """What became of one candidate, and why."""
+
+    id: int
+    cluster: int
+    model: str
+    fate: str
+    """``"accepted"``, ``"ambiguous"`` or ``"rejected"``."""
+    reason: str
+    T_world_object: F64
+    """(4, 4), the fitted stretch included."""
+    T_scene_model: F64
+    """(4, 4) from the model file's coordinates to the scene's."""
+    position_world: Vector
+    position_scene: Vector
+    heading_deg: float
+    """Of the object's +x axis in the world, counter-clockwise from +x."""
+    heading_margin: float
+    """Relative: (runner-up residual - residual) / residual."""
+    correlation: float
+    rms_m: float
+    inliers: int
+    runner_up_heading_deg: float
+    runner_up_rms_m: float
+    coverage_model: float
+    """Share of the model's visible surface that the scene explains."""
+    coverage_scene: float
+    """Share of the scene's points in the object's box that the model explains."""
+    observed: float
+    """Share of the model's surface that could have been seen."""
+    score: float
+    """0..1."""
+    parts: tuple[Part, ...] = field(default=())
+    size_m: Vector = (0.0, 0.0, 0.0)
+    """Length, width and height as fitted."""
+    alternative: str = ""
+    """Next best model for the same place, empty if there is none."""
+    alternative_margin: float = 0.0
