@@ -1,0 +1,247 @@
+"""Triangle meshes built from code, and points sampled from them uniformly by area.
+
+Every solid is upright and stands on its base: z up, the middle of the base at the origin, metres.
+Faces run counter-clockwise seen from outside, so their normals point outwards.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+class Mesh(NamedTuple):
+    """A triangle mesh: ``vertices`` (V, 3) float64 in metres, ``faces`` (F, 3) int64 indices."""
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+
+
+def sample_surface(
+    vertices: NDArray[np.floating],
+    faces: NDArray[np.integer],
+    count: int,
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Draw points independently and uniformly by area from a triangle mesh.
+
+    A face is drawn with probability proportional to its area, then a point in it by the
+    square-root map of [Osada et al. 2002, Shape Distributions, eq. 1].
+
+    Parameters
+    ----------
+    vertices : (V, 3) float
+    faces : (F, 3) int
+    count : int
+        How many points; 0 is allowed.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    points : (count, 3) float64, in the unit and frame of ``vertices``
+    normals : (count, 3) float64
+        Unit normals of the faces that the points lie on, by the faces' winding.
+
+    Raises
+    ------
+    ValueError
+        When the mesh has no face with an area.
+    """
+    areas, unit_normals = face_areas_and_normals(vertices, faces)
+    cumulative = np.cumsum(areas)
+    if not len(cumulative) or not cumulative[-1] > 0:
+        raise ValueError("the mesh has no face with an area: nothing to sample")
+    draws = rng.random((count, 3))
+    # side="right" steps over faces without area; the cap guards against rounding up to the total
+    picked: NDArray[np.int64] = np.minimum(
+        cumulative.searchsorted(draws[:, 0] * cumulative[-1], side="right"),
+        np.flatnonzero(areas)[-1],
+    )
+    root, along = np.sqrt(draws[:, 1:2]), draws[:, 2:3]
+    a, b, c = (np.asarray(vertices, np.float64)[faces[picked, corner]] for corner in range(3))
+    points = (1 - root) * a + root * (1 - along) * b + root * along * c
+    return points, unit_normals[picked]
+
+
+def face_areas_and_normals(
+    vertices: NDArray[np.floating], faces: NDArray[np.integer]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Areas (F,) and unit normals (F, 3) of triangles; a face without area has normal 0."""
+    a, b, c = (np.asarray(vertices, np.float64)[faces[:, corner]] for corner in range(3))
+    crossed = np.cross(b - a, c - a)
+    doubled = np.sqrt((crossed**2).sum(axis=1))
+    normals = crossed / np.where(doubled > 0, doubled, 1.0)[:, None]
+    return doubled / 2, normals
+
+
+def surface_area(mesh: Mesh) -> float:
+    """Area of all faces, in square metres."""
+    return float(face_areas_and_normals(*mesh)[0].sum())
+
+
+def upright_pose(position: ArrayLike, heading_deg: float = 0.0) -> NDArray[np.float64]:
+    """Rigid transform (4, 4) that turns about +z by ``heading_deg`` and then moves to ``position``.
+
+    Whole quarter turns come out exact.
+    """
+    turned = math.radians(heading_deg % 90.0)
+    cosine, sine = math.cos(turned), math.sin(turned)
+    for _ in range(int(heading_deg % 360.0 // 90.0)):
+        cosine, sine = -sine, cosine
+    T = np.eye(4)
+    T[:2, :2] = [[cosine, -sine], [sine, cosine]]
+    T[:3, 3] = position
+    return T
+
+
+def transform(T: NDArray[np.float64], points: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Apply a (4, 4) transform to (N, 3) points."""
+    # Sums written out: a matrix product may round differently on another machine
+    columns = [
+        T[row, 0] * points[:, 0] + T[row, 1] * points[:, 1] + T[row, 2] * points[:, 2] + T[row, 3]
+        for row in range(3)
+    ]
+    return np.stack(columns, axis=1)
+
+
+def placed(mesh: Mesh, position: ArrayLike, heading_deg: float = 0.0) -> Mesh:
+    """Return the mesh turned about +z by ``heading_deg`` and then moved to ``position``."""
+    return Mesh(transform(upright_pose(position, heading_deg), mesh.vertices), mesh.faces)
+
+
+def merged(meshes: Sequence[Mesh]) -> Mesh:
+    """One mesh with the faces of all."""
+    offsets = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes[:-1]])
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate([mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=True)]),
+    )
+
+
+def box(length: float, width: float, height: float) -> Mesh:
+    """Box with ``length`` along x, ``width`` along y, ``height`` along z."""
+    x, y = length / 2, width / 2
+    return extruded([(-x, 0), (x, 0), (x, height), (-x, height)], 2 * y)
+
+
+def cylinder(
+    radius: float, height: float, sides: int = 16, top_radius: float | None = None
+) -> Mesh:
+    """Upright cylinder with caps; ``top_radius`` makes it a truncated cone, 0 a cone."""
+    top = radius if top_radius is None else top_radius
+    ring = _circle(sides)
+    sections = [
+        np.column_stack([ring * size, np.full(sides, level)])
+        for size, level in ((radius, 0.0), (top, height))
+    ]
+    return lofted(sections)
+
+
+def ellipsoid(radii: tuple[float, float, float], sides: int = 16, rings: int = 8) -> Mesh:
+    """Ellipsoid with half axes ``radii`` that stands on its lowest point."""
+    ring = _circle(sides)
+    sections: list[NDArray[np.float64]] = []
+    for step in range(rings + 1):
+        angle = math.pi * step / rings
+        size, level = math.sin(angle), 1 - math.cos(angle)
+        flat = ring * size * np.array(radii[:2])
+        sections.append(np.column_stack([flat, np.full(sides, radii[2] * level)]))
+    return lofted(sections, capped=False)
+
+
+def extruded(profile: ArrayLike, width: float) -> Mesh:
+    """Prism: a simple polygon in the x-z plane, swept along y from -width/2 to width/2.
+
+    Parameters
+    ----------
+    profile : (K, 2) float
+        Corners (x, z) in order, in either sense of turning; may be concave.
+    """
+    corners = np.asarray(profile, np.float64)
+    if _doubled_area(corners) < 0:
+        corners = corners[::-1]
+    count = len(corners)
+    sides = [np.insert(corners, 1, y, axis=1) for y in (-width / 2, width / 2)]
+    cap = triangulated(corners)
+    # Turning left in (x, z) is counter-clockwise seen from -y, where the first cap lies
+    walls = _band(np.arange(count), np.arange(count) + count)[:, ::-1]
+    return Mesh(np.concatenate(sides), np.concatenate([cap, cap[:, ::-1] + count, walls]))
+
+
+def lofted(sections: Sequence[NDArray[np.floating]], capped: bool = True) -> Mesh:
+    """Skin over closed cross-sections of equally many corners, joined in order.
+
+    Parameters
+    ----------
+    sections : sequence of (K, 3) float
+        Corners that run counter-clockwise seen from the end that the sections lead to (for
+        sections stacked upwards: seen from above).
+    capped : bool
+        Close both ends with a fan; the end sections must then be convex.
+    """
+    count = len(sections[0])
+    faces = [
+        _band(np.arange(count) + level * count, np.arange(count) + (level + 1) * count)
+        for level in range(len(sections) - 1)
+    ]
+    if capped:
+        steps = np.arange(1, count - 1)
+        fan = np.column_stack([np.zeros_like(steps), steps, steps + 1])
+        faces += [fan[:, ::-1], fan + (len(sections) - 1) * count]
+    return Mesh(np.concatenate(sections).astype(np.float64), np.concatenate(faces))
+
+
+def triangulated(corners: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Triangles (K - 2, 3) of a simple polygon (K, 2) that turns left, by ear clipping.
+
+    Raises
+    ------
+    ValueError
+        When the polygon crosses itself or turns right.
+    """
+    left = list(range(len(corners)))
+    triangles: list[tuple[int, int, int]] = []
+    while len(left) > 3:
+        for position in range(len(left)):
+            ear = left[position - 1], left[position], left[(position + 1) % len(left)]
+            others = corners[[corner for corner in left if corner not in ear]]
+            if _doubled_area(corners[list(ear)]) > 0 and not _inside(corners[list(ear)], others):
+                triangles.append(ear)
+                del left[position]
+                break
+        else:
+            raise ValueError("the profile is not a simple polygon that turns left")
+    triangles.append((left[0], left[1], left[2]))
+    return np.array(triangles, np.int64)
+
+
+def _inside(triangle: NDArray[np.float64], points: NDArray[np.float64]) -> bool:
+    """Whether any point lies in a triangle that turns left, its border included."""
+    edges = np.roll(triangle, -1, axis=0) - triangle
+    offsets = points[:, None] - triangle
+    return bool((edges[:, 0] * offsets[..., 1] >= edges[:, 1] * offsets[..., 0]).all(axis=1).any())
+
+
+def _doubled_area(corners: NDArray[np.float64]) -> float:
+    following = np.roll(corners, -1, axis=0)
+    return float((corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0]).sum())
+
+
+def _band(lower: NDArray[np.int64], upper: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Two triangles for each side between two closed rings of indices."""
+    lower_next, upper_next = np.roll(lower, -1), np.roll(upper, -1)
+    return np.concatenate(
+        [
+            np.column_stack([lower, lower_next, upper_next]),
+            np.column_stack([lower, upper_next, upper]),
+        ]
+    )
+
+
+def _circle(sides: int) -> NDArray[np.float64]:
+    angles = [2 * math.pi * step / sides for step in range(sides)]
+    return np.array([(math.cos(angle), math.sin(angle)) for angle in angles])
