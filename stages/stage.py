@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Annotated, Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationInfo
 
 from spinpipe.schemas.topics import Topic
 
@@ -26,9 +26,19 @@ class StageError(Exception):
 
 
 class Section(BaseModel):
-    """Base of every config section: frozen, and no unknown keys."""
+    """Base of every config section: frozen, no unknown keys, no infinite numbers."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def _resolve(path: Path, info: ValidationInfo) -> Path:
+    base: Path = (info.context or {}).get("base", Path())
+    return (base / path.expanduser()).resolve()
+
+
+InputPath = Annotated[Path, AfterValidator(_resolve)]
+"""A file or folder that a stage reads: relative to the config file. The key of a stage holds its
+content, not its name."""
 
 
 class Progress(Protocol):
