@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -52,15 +52,13 @@ def sample_surface(
         When the mesh has no face with an area.
     """
     areas, unit_normals = face_areas_and_normals(vertices, faces)
-    cumulative = np.cumsum(areas)
+    cumulative: NDArray[np.float64] = np.cumsum(areas)
     if not len(cumulative) or not cumulative[-1] > 0:
         raise ValueError("the mesh has no face with an area: nothing to sample")
     draws = rng.random((count, 3))
-    # side="right" steps over faces without area; the cap guards against rounding up to the total
-    picked: NDArray[np.int64] = np.minimum(
-        cumulative.searchsorted(draws[:, 0] * cumulative[-1], side="right"),
-        np.flatnonzero(areas)[-1],
-    )
+    # Right of equals: faces without area are never drawn; the cap guards against rounding up
+    picked = _places(cumulative, draws[:, 0] * cumulative[-1])
+    picked = np.minimum(picked, np.flatnonzero(areas)[-1])
     root, along = np.sqrt(draws[:, 1:2]), draws[:, 2:3]
     a, b, c = (np.asarray(vertices, np.float64)[faces[picked, corner]] for corner in range(3))
     points = (1 - root) * a + root * (1 - along) * b + root * along * c
@@ -76,6 +74,34 @@ def face_areas_and_normals(
     doubled = np.sqrt((crossed**2).sum(axis=1))
     normals = crossed / np.where(doubled > 0, doubled, 1.0)[:, None]
     return doubled / 2, normals
+
+
+def covered_from_above(
+    points: NDArray[np.float64], mesh: Mesh, clearance_m: float = 1e-3
+) -> NDArray[np.bool_]:
+    """Whether a face of the mesh lies straight above each point (N, 3), by ``clearance_m``."""
+    covered = np.zeros(len(points), bool)
+    order = np.argsort(points[:, 0], kind="stable")
+    x, y, z = points[order].T
+    _, normals = face_areas_and_normals(*mesh)
+    corners = mesh.vertices[mesh.faces]
+    begins = _places(x, corners[:, :, 0].min(axis=1), "left")
+    ends = _places(x, corners[:, :, 0].max(axis=1))
+    for (a, b, c), normal, begin, end in zip(corners, normals, begins, ends, strict=True):
+        if abs(normal[2]) < 1e-6:  # upright faces cover nothing
+            continue
+        u, v = x[begin:end] - a[0], y[begin:end] - a[1]
+        e, f = (b - a)[:2], (c - a)[:2]
+        area = e[0] * f[1] - e[1] * f[0]
+        along_e, along_f = (u * f[1] - v * f[0]) / area, (v * e[0] - u * e[1]) / area
+        height = a[2] - (normal[0] * u + normal[1] * v) / normal[2]
+        covered[order[begin:end]] |= (
+            (along_e >= 0)
+            & (along_f >= 0)
+            & (along_e + along_f <= 1)
+            & (height > z[begin:end] + clearance_m)
+        )
+    return covered
 
 
 def surface_area(mesh: Mesh) -> float:
@@ -120,6 +146,12 @@ def merged(meshes: Sequence[Mesh]) -> Mesh:
         np.concatenate([mesh.vertices for mesh in meshes]),
         np.concatenate([mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=True)]),
     )
+
+
+def without_underside(mesh: Mesh) -> Mesh:
+    """Return the mesh without the faces that look down: what stands on the ground hides them."""
+    _, normals = face_areas_and_normals(*mesh)
+    return Mesh(mesh.vertices, mesh.faces[normals[:, 2] > -0.9])
 
 
 def box(length: float, width: float, height: float) -> Mesh:
@@ -217,6 +249,15 @@ def triangulated(corners: NDArray[np.float64]) -> NDArray[np.int64]:
             raise ValueError("the profile is not a simple polygon that turns left")
     triangles.append((left[0], left[1], left[2]))
     return np.array(triangles, np.int64)
+
+
+def _places(
+    ordered: NDArray[np.float64],
+    values: NDArray[np.float64],
+    side: Literal["left", "right"] = "right",
+) -> NDArray[np.intp]:
+    """Where in the ascending array each value belongs."""
+    return np.asarray(np.searchsorted(ordered, values, side=side), np.intp)
 
 
 def _inside(triangle: NDArray[np.float64], points: NDArray[np.float64]) -> bool:
