@@ -118,7 +118,7 @@ def tree(x: float, y: float, heading_deg: float, crown_m: float, trunk_m: float)
     ]
     return [
         Item("trunk", trunk, plain((96, 70, 48)), x, y, heading_deg),
-        Item("crown", merged(clouds), _foliage((66, 118, 48)), x, y, heading_deg, roughness_m=0.12),
+        Item("crown", merged(clouds), _foliage((66, 118, 48)), x, y, heading_deg, roughness_m=0.2),
     ]
 
 
