@@ -109,6 +109,8 @@ def correlate(
     blocks = OriginBlocks.of(origins)
     tables = scan_tables(templates, list(dict.fromkeys(t.grid for t in templates)))
     found = np.zeros((len(templates), len(blocks.order)), np.float32)
+    if not templates:
+        return found
     no_images = np.zeros((0, 0), np.uint32)
 
     def scan(chunk: tuple[int, int]) -> tuple[int, int]:
