@@ -1,0 +1,243 @@
+"""PLY clouds: ascii and binary of both byte orders, any number types, extra properties ignored."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import re
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from plyfile import PlyData, PlyElement, PlyListProperty, PlyParseError
+
+from spinpipe.schemas.records import F64, U8
+from spinpipe.stages.colour_range import full_colour, to_8_bit
+from spinpipe.stages.stage import StageError
+
+_COLOURS = tuple(
+    tuple(prefix + name for name in names)
+    for prefix in ("", "diffuse_")
+    for names in (("red", "green", "blue"), ("r", "g", "b"))
+)
+_LONGEST_HEADER = 1 << 20
+
+
+@dataclass(frozen=True)
+class PlyHeader:
+    """What a PLY file says about itself, and where its data begins."""
+
+    elements: tuple[PlyElement, ...]
+    counts: tuple[int, ...]
+    """Rows of each element."""
+    text: bool
+    byte_order: str
+    data_offset: int
+
+    def count(self, element: str) -> int:
+        """Rows of an element, 0 where there is none of that name."""
+        names = [e.name for e in self.elements]
+        return self.counts[names.index(element)] if element in names else 0
+
+
+def read_header(path: Path) -> PlyHeader:
+    """Parse the header only; line ends may be those of Unix, Windows or old Macs.
+
+    Raises
+    ------
+    StageError
+        When the file is no PLY file or its header is broken.
+    """
+    with path.open("rb") as file:
+        head = file.read(_LONGEST_HEADER)
+    start = re.match(rb"ply[ \t]*(\r\n|\n|\r)", head)
+    if start is None:
+        raise StageError(f"{path}: not a PLY file, it does not begin with 'ply'; export it again")
+    line_end = start[1]
+    end = head.find(line_end + b"end_header" + line_end)
+    if end < 0:
+        raise StageError(f"{path}: the PLY header has no 'end_header' line; export the file again")
+    counts: list[int] = []
+    lines = [b"ply"]
+    for line in head[start.end() : end].split(line_end):
+        words = line.split()
+        if words[:1] in ([b"comment"], [b"obj_info"], []):
+            continue  # may hold any bytes; plyfile wants ascii
+        if words[0] == b"element" and len(words) == 3 and words[2].isdigit():
+            counts.append(int(words[2]))
+            words[2] = b"0"  # plyfile then stops after the header
+        lines.append(b" ".join(words))
+    try:
+        ply = PlyData.read(io.BytesIO(b"\n".join([*lines, b"end_header\n"])))
+    except (PlyParseError, ValueError, KeyError) as error:
+        raise StageError(f"{path}: broken PLY header ({error}); export the file again") from error
+    offset = end + len(line_end + b"end_header" + line_end)
+    return PlyHeader(tuple(ply.elements), tuple(counts), ply.text, ply.byte_order, offset)
+
+
+class PlySource:
+    """The vertices of a PLY file.
+
+    Raises
+    ------
+    StageError
+        When the header is broken, x, y or z are missing, or the file is cut short.
+    """
+
+    cameras = None
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._header = read_header(path)
+        names = [element.name for element in self._header.elements]
+        if "vertex" not in names:
+            raise StageError(f"{path}: the PLY file has no element 'vertex'; give a point cloud")
+        self._index = names.index("vertex")
+        self._vertex = self._header.elements[self._index]
+        self.points = self._header.counts[self._index]
+        fields = [prop.name for prop in self._vertex.properties]
+        missing = [axis for axis in "xyz" if axis not in fields]
+        if missing:
+            raise StageError(
+                f"{path}: its vertices have no property {', '.join(missing)} "
+                f"(only {', '.join(fields)}); export the cloud with coordinates"
+            )
+        self._colours = next((c for c in _COLOURS if set(c) <= set(fields)), ())
+        self._full: float | None = None
+        if not self._header.text and not self._has_lists():
+            self._check_size()
+
+    @property
+    def coloured(self) -> bool:
+        """Whether the vertices have red, green and blue."""
+        return bool(self._colours)
+
+    def chunks(self, points: int) -> Iterator[tuple[F64, U8]]:
+        """Vertices in the file's order, at most ``points`` at a time."""
+        if self._colours and self._full is None:
+            self._full = full_colour(_matrix(rows, self._colours) for rows in self._rows(points))
+        for rows in self._rows(points):
+            xyz = _matrix(rows, tuple("xyz")).astype(np.float64)
+            if self._full is None:
+                yield xyz, np.full((len(rows), 3), 255, np.uint8)
+            else:
+                yield xyz, to_8_bit(_matrix(rows, self._colours), self._full)
+
+    def _rows(self, points: int) -> Iterator[NDArray[Any]]:
+        """Structured rows that have at least x, y, z and the colours."""
+        if self._header.text:
+            return self._text_rows(points)
+        if self._has_lists():
+            return self._list_rows(points)
+        return self._binary_rows(points)
+
+    def _has_lists(self) -> bool:
+        """Whether a row's place in the file depends on the length of lists before it."""
+        before = zip(self._header.elements, self._header.counts, strict=True)
+        return any(
+            count and isinstance(prop, PlyListProperty)
+            for element, count in itertools.islice(before, self._index + 1)
+            for prop in element.properties
+        )
+
+    def _check_size(self) -> None:
+        """Compare the file's size with what the header promises."""
+        row = self._vertex.dtype(self._header.byte_order).itemsize
+        missing = self._vertex_offset() + self.points * row - self._path.stat().st_size
+        if missing > 0:
+            raise StageError(
+                f"{self._path}: cut short, {missing:,} bytes or {-(-missing // row):,} of "
+                f"{self.points:,} points are missing; copy or export the file again"
+            )
+
+    def _vertex_offset(self) -> int:
+        before = zip(self._header.elements, self._header.counts, strict=True)
+        return self._header.data_offset + sum(
+            count * element.dtype(self._header.byte_order).itemsize
+            for element, count in itertools.islice(before, self._index)
+            if count
+        )
+
+    def _binary_rows(self, points: int) -> Iterator[NDArray[Any]]:
+        dtype = self._vertex.dtype(self._header.byte_order)
+        # Read, not memory-mapped: mapped pages would count as the process's memory
+        with self._path.open("rb") as file:
+            file.seek(self._vertex_offset())
+            for start in range(0, self.points, points):
+                rows = np.fromfile(file, dtype, min(points, self.points - start))
+                if len(rows) < min(points, self.points - start):
+                    raise self._cut_short(start + len(rows))
+                yield rows
+
+    def _text_rows(self, points: int) -> Iterator[NDArray[Any]]:
+        fields = [prop.name for prop in self._vertex.properties]
+        wanted = (*"xyz", *self._colours)
+        columns = [fields.index(name) for name in wanted]
+        leading = self._vertex.properties[: max(columns)]
+        if any(isinstance(prop, PlyListProperty) for prop in leading):
+            raise StageError(
+                f"{self._path}: an ascii PLY with a list before its coordinates or colours "
+                "is not supported; export it as binary"
+            )
+        types = [self._vertex.ply_property(name).dtype() for name in wanted]
+        # Text of a whole number may carry a decimal point or an exponent: read all as float64
+        parsed = np.dtype([(name, np.float64) for name in wanted])
+        exact = np.dtype(list(zip(wanted, types, strict=True)))
+        with self._path.open("rb") as file:
+            file.seek(self._header.data_offset)
+            rows_before = sum(self._header.counts[: self._index])
+            lines = (line for line in file if line.strip())
+            for start in range(0, self.points, points):
+                skip = rows_before if start == 0 else 0
+                count = min(points, self.points - start)
+                block = list(itertools.islice(lines, skip, skip + count))
+                rows = self._parse(block, columns, parsed, start)
+                if len(rows) < count:
+                    raise self._cut_short(start + len(rows))
+                yield rows.astype(exact)
+
+    def _parse(
+        self, lines: list[bytes], columns: list[int], dtype: np.dtype[Any], start: int
+    ) -> NDArray[Any]:
+        if not lines:
+            return np.empty(0, dtype)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                return np.loadtxt(lines, dtype, comments=None, usecols=columns, ndmin=1)
+        except (ValueError, UnicodeDecodeError, Warning) as error:
+            raise StageError(
+                f"{self._path}: cannot read points {start:,} to {start + len(lines):,} of "
+                f"{self.points:,} ({error}); the file may be cut short, copy or export it again"
+            ) from error
+
+    def _list_rows(self, points: int) -> Iterator[NDArray[Any]]:
+        """Rows behind or among lists of any length: only a full read finds them."""
+        try:
+            rows = PlyData.read(self._path)["vertex"].data
+        except (PlyParseError, ValueError) as error:
+            raise StageError(
+                f"{self._path}: cannot read the points ({error}); "
+                "the file may be cut short, copy or export it again"
+            ) from error
+        for start in range(0, self.points, points):
+            yield rows[start : start + points]
+
+    def _cut_short(self, found: int) -> StageError:
+        return StageError(
+            f"{self._path}: cut short, {self.points - found:,} of {self.points:,} points are "
+            "missing; copy or export the file again"
+        )
+
+
+def _matrix(rows: NDArray[Any], names: tuple[str, ...]) -> NDArray[Any]:
+    """Columns of structured rows as (N, len(names)), in native byte order."""
+    dtype = np.result_type(*(rows.dtype[name] for name in names))
+    matrix = np.empty((len(rows), len(names)), dtype)
+    for column, name in enumerate(names):
+        matrix[:, column] = rows[name]
+    return matrix
