@@ -233,11 +233,11 @@ def triangulated(corners: NDArray[np.float64]) -> NDArray[np.int64]:
     Raises
     ------
     ValueError
-        When the polygon crosses itself or turns right.
+        When no ear is left, as where the polygon crosses itself or turns right.
     """
     left = list(range(len(corners)))
     triangles: list[tuple[int, int, int]] = []
-    while len(left) > 3:
+    while len(left) > 2:
         for position in range(len(left)):
             ear = left[position - 1], left[position], left[(position + 1) % len(left)]
             others = corners[[corner for corner in left if corner not in ear]]
@@ -246,8 +246,7 @@ def triangulated(corners: NDArray[np.float64]) -> NDArray[np.int64]:
                 del left[position]
                 break
         else:
-            raise ValueError("the profile is not a simple polygon that turns left")
-    triangles.append((left[0], left[1], left[2]))
+            raise ValueError("the polygon has no ear left: it crosses itself or turns right")
     return np.array(triangles, np.int64)
 
 
