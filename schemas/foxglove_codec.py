@@ -127,5 +127,7 @@ def _poses_in_frame(frame: str, positions: F64, quaternions_xyzw: F64) -> PosesI
 def _poses(data: bytes) -> tuple[F64, F64]:
     poses = PosesInFrame.FromString(data).poses
     positions = [(p.position.x, p.position.y, p.position.z) for p in poses]
-    rotations = [(p.orientation.x, p.orientation.y, p.orientation.z, p.orientation.w) for p in poses]
+    rotations = [
+        (p.orientation.x, p.orientation.y, p.orientation.z, p.orientation.w) for p in poses
+    ]
     return np.array(positions).reshape(-1, 3), np.array(rotations).reshape(-1, 4)

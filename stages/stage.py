@@ -92,10 +92,10 @@ class Context(Protocol[C]):
         """Append a message to one of the stage's own output topics."""
         ...
 
-    def recovered(self, topic: Topic[T]) -> Sequence[T]:
+    def recovered(self, topic: Topic[T]) -> Iterator[T]:
         """What an interrupted run of this very stage and key had already written to ``topic``.
 
-        Those messages are part of the output already and must not be written again.
+        Each message that comes is part of the output already and must not be written again.
         """
         ...
 

@@ -1,0 +1,161 @@
+"""The command line. Heavy imports wait inside the commands: ``spinpipe --help`` answers at once."""
+
+from __future__ import annotations
+
+import sys
+from enum import Enum
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Find every instance of a known object in a point cloud reconstructed from photos.",
+)
+
+
+class RerunMode(str, Enum):
+    """Where the recording goes."""
+
+    save = "save"
+    spawn = "spawn"
+    connect = "connect"
+    off = "off"
+
+
+ConfigArgument = Annotated[Path, typer.Argument(metavar="CONFIG", help="The run's TOML file.")]
+OutputOption = Annotated[
+    Path | None,
+    typer.Option("--output", "-o", metavar="DIR", help="The run's folder (recordings/<name>)."),
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Override one key; repeatable."),
+]
+FromOption = Annotated[
+    str | None, typer.Option("--from", metavar="STAGE", help="Run this stage and all after it.")
+]
+UntilOption = Annotated[
+    str | None, typer.Option("--until", metavar="STAGE", help="Stop after this stage.")
+]
+RerunOption = Annotated[
+    RerunMode,
+    typer.Option(
+        "--rerun",
+        help="save: run.rrd in the run's folder; spawn: a viewer; connect: a running viewer.",
+    ),
+]
+
+
+@app.command()
+def run(
+    config: ConfigArgument,
+    output: OutputOption = None,
+    overrides: SetOption = None,
+    start: FromOption = None,
+    until: UntilOption = None,
+    rerun: RerunOption = RerunMode.save,
+) -> None:
+    """Run a config: only stages whose inputs or settings changed are computed.
+
+    Ends with 0 even if nothing was found (that is a result), with 1 if the input cannot be
+    worked on, with 2 if the config or the command is wrong, with 130 after Ctrl-C.
+    """
+    from spinpipe.pipeline.commands import run_command
+
+    run_command(config, output, overrides or [], start, until, rerun.value)
+
+
+@app.command()
+def plan(
+    config: ConfigArgument,
+    output: OutputOption = None,
+    overrides: SetOption = None,
+    start: FromOption = None,
+    until: UntilOption = None,
+) -> None:
+    """Say what a run would do and why, without doing it."""
+    from spinpipe.pipeline.commands import plan_command
+
+    plan_command(config, output, overrides or [], start, until)
+
+
+@app.command()
+def init(
+    path: Annotated[Path, typer.Argument(metavar="[CONFIG]")] = Path("config.toml"),
+    scene: Annotated[str, typer.Option(help="The reconstruction: PLY, LAS or COLMAP.")] = "",
+    model: Annotated[str, typer.Option(help="What to find: a mesh or a cloud.")] = "",
+) -> None:
+    """Write a commented config; without a scene of your own it comes with a small example."""
+    from spinpipe.pipeline.commands import init_command
+
+    init_command(path, scene, model)
+
+
+@app.command()
+def demo(
+    output: OutputOption = None,
+    noise: Annotated[float, typer.Option(min=0.0, max=5.0, help="Gaussian noise, metres.")] = 0.0,
+    start: FromOption = None,
+    rerun: RerunOption = RerunMode.save,
+) -> None:
+    """Make the paper's artificial scene and run the pipeline on it."""
+    from spinpipe.pipeline.commands import demo_command
+
+    demo_command(output, noise, start, rerun.value)
+
+
+@app.command()
+def stages() -> None:
+    """Explain the stages: what each reads and writes, and every key of its section."""
+    from spinpipe.pipeline.commands import stages_command
+
+    stages_command()
+
+
+@app.command()
+def record(
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder.")],
+    rerun: RerunOption = RerunMode.save,
+) -> None:
+    """Draw a run's MCAP files into a Rerun recording again, without computing anything."""
+    from spinpipe.pipeline.commands import record_command
+
+    record_command(folder, rerun.value)
+
+
+def _print_version(value: bool) -> None:
+    if value:
+        typer.echo(f"spinpipe {version('spinpipe')}")
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    _version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Print it."),
+    ] = False,
+) -> None:
+    """Options of all commands."""
+
+
+def main() -> None:
+    """Run the command line; every error is one line on stderr and a non-zero exit code."""
+    try:
+        app()
+    except KeyboardInterrupt:
+        sys.stderr.write("spinpipe: interrupted; run it again to go on\n")
+        sys.exit(130)
+    except Exception as error:
+        from spinpipe.pipeline.errors import describe
+
+        text, code = describe(error)
+        sys.stderr.write(f"spinpipe: {text}\n")
+        sys.exit(code)

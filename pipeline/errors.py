@@ -1,0 +1,38 @@
+"""Errors as the user sees them: one line and an exit code."""
+
+from __future__ import annotations
+
+import os
+import traceback
+
+from spinpipe.pipeline.config import ConfigError
+from spinpipe.pipeline.mcap_file import DamagedFileError
+from spinpipe.stages.stage import StageError
+
+INPUT_ERROR = 1
+USAGE_ERROR = 2
+INTERNAL_ERROR = 70
+"""EX_SOFTWARE of sysexits.h: a mistake of spinpipe itself."""
+
+
+def describe(error: BaseException) -> tuple[str, int]:
+    """What to say in one line, and the exit code.
+
+    Set ``SPINPIPE_TRACEBACK=1`` to see where an internal error came from.
+    """
+    if isinstance(error, ConfigError):
+        return str(error), USAGE_ERROR
+    if isinstance(error, (StageError, DamagedFileError)):
+        return str(error), INPUT_ERROR
+    if isinstance(error, MemoryError):
+        return "out of memory: lower execution.memory_gb or record.preview_points", INPUT_ERROR
+    if isinstance(error, OSError):
+        return f"{error.filename or 'input/output'}: {error.strerror or error}", INPUT_ERROR
+    if os.environ.get("SPINPIPE_TRACEBACK"):
+        return "".join(traceback.format_exception(error)), INTERNAL_ERROR
+    text = " ".join(str(error).split())
+    return (
+        f"internal error: {type(error).__name__}: {text} "
+        "(a mistake of spinpipe; SPINPIPE_TRACEBACK=1 shows where)",
+        INTERNAL_ERROR,
+    )

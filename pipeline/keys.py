@@ -1,0 +1,83 @@
+"""The key of a stage: what its output depends on, hashed before it runs.
+
+key = hash(stage name, stage version, its config section, content of its input files, seed,
+keys of the stages it reads from). Names and places of files do not count, their content does.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from spinpipe.stages import STAGES
+from spinpipe.stages.stage import Stage, StageError
+
+
+def stage_parts(
+    stage: Stage, section: BaseModel, seed: int, inputs: Mapping[str, str]
+) -> dict[str, str]:
+    """What the key is made of, by name: kept beside the key so that a run can say what changed.
+
+    Parameters
+    ----------
+    stage : the stage.
+    section : its config section.
+    seed : the run's seed.
+    inputs : keys of the stages that the stage reads from, by stage name.
+
+    Raises
+    ------
+    StageError
+        If an input file is missing or cannot be read.
+    """
+    parts = {"code": f"{stage.name} version {stage.version}", "seed": str(seed)}
+    for name, value in _flatten(section, stage.name):
+        parts[name] = hash_path(value, name) if isinstance(value, Path) else json.dumps(value)
+    return parts | {f"stage {name}": key for name, key in inputs.items()}
+
+
+def stage_key(parts: Mapping[str, str]) -> str:
+    """Key of a stage from its parts: 32 hexadecimal digits."""
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def changed_parts(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
+    """Names of the parts that differ, in the order of ``now``."""
+    return [name for name in {**now, **before} if before.get(name) != now.get(name)]
+
+
+def producers(stage: Stage) -> list[str]:
+    """Names of the stages that write what ``stage`` reads, in order."""
+    return [s.name for s in STAGES if any(topic in s.outputs for topic in stage.inputs)]
+
+
+def hash_path(path: Path, key: str) -> str:
+    """Hash of a file's content, or of all files below a folder with their relative names."""
+    if not path.exists():
+        raise StageError(f"{key}: {path} does not exist")
+    digest = hashlib.sha256()
+    try:
+        for file in [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file()):
+            if path.is_dir():
+                digest.update(str(file.relative_to(path)).encode() + b"\0")
+            with file.open("rb") as stream:
+                digest.update(hashlib.file_digest(stream, "sha256").digest())
+    except OSError as error:
+        raise StageError(f"{key}: cannot read {path}: {error.strerror}") from None
+    return f"sha256 {digest.hexdigest()}{path.suffix}"
+
+
+def _flatten(value: Any, name: str) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, BaseModel):
+        for field in type(value).model_fields:
+            yield from _flatten(getattr(value, field), f"{name}.{field}")
+    elif isinstance(value, tuple) and any(isinstance(v, BaseModel) for v in value):
+        for i, item in enumerate(value):
+            yield from _flatten(item, f"{name}.{i}")
+    else:
+        yield name, value

@@ -1,0 +1,224 @@
+"""One MCAP file of a stage: written once, checked to the last byte, read by index.
+
+Every message has ``log_time = EPOCH_NS + index`` with a counter over the whole file, so files are
+the same bytes at every run (up to the metadata) and a message is found by its index. Messages of
+one topic stand together; where each topic begins is noted in the file's metadata.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from typing import BinaryIO, Generic, TypeVar, cast, overload
+
+from mcap.exceptions import McapError
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Message, Metadata
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
+from mcap_protobuf.schema import register_schema
+
+from spinpipe.schemas.topics import Topic
+
+T = TypeVar("T")
+
+EPOCH_NS = 1_262_304_000_000_000_000
+"""2010-01-01, the year of the paper: wall-clock time would make equal runs differ."""
+
+CHUNK_BYTES = 1 << 20
+_FOOTER_BYTES = 1 + 8 + 20 + 8
+_DATA_END_BYTES = 1 + 8 + 4
+
+
+class DamagedFileError(Exception):
+    """A file that is cut short, or that is not what was written."""
+
+
+class StageFileWriter:
+    """Writes the messages of one stage; ``close`` makes the file complete on disk."""
+
+    def __init__(self, path: Path, metadata: dict[str, str]) -> None:
+        self._path = path
+        self._stream = path.open("wb")
+        self._writer = Writer(
+            cast(BinaryIO, self._stream),
+            chunk_size=CHUNK_BYTES,
+            compression=CompressionType.NONE,
+            enable_data_crcs=True,
+        )
+        self._writer.start(profile="", library="spinpipe")
+        self._writer.add_metadata("stage", metadata)
+        self._channels: dict[str, int] = {}
+        self._topics: dict[str, list[int]] = {}
+        self._next = 0
+
+    def declare(self, topic: Topic[T]) -> None:
+        """Register a topic, so that it is in the file even without a message."""
+        if topic.name not in self._channels:
+            schema = register_schema(self._writer, topic.proto)
+            self._channels[topic.name] = self._writer.register_channel(
+                topic=topic.name, message_encoding="protobuf", schema_id=schema
+            )
+
+    def write(self, topic: Topic[T], message: T) -> None:
+        """Append one record; all records of a topic must be written one after the other."""
+        self.write_bytes(topic, topic.encode(message).SerializeToString(deterministic=True))
+
+    def write_bytes(self, topic: Topic[T], data: bytes) -> None:
+        """Append one message that is encoded already."""
+        self.declare(topic)
+        first, count = self._topics.setdefault(topic.name, [self._next, 0])
+        if first + count != self._next:
+            raise ValueError(f"{topic.name}: messages of a topic must be written together")
+        time = EPOCH_NS + self._next
+        self._writer.add_message(
+            channel_id=self._channels[topic.name],
+            log_time=time,
+            publish_time=time,
+            data=data,
+            sequence=count,
+        )
+        self._topics[topic.name][1] += 1
+        self._next += 1
+        self._stream.flush()  # what is written survives a kill: see recover()
+
+    def close(self, metadata: dict[str, str]) -> None:
+        """Write the index, flush to disk and read everything back against its checksums."""
+        self._writer.add_metadata("topics", {n: json.dumps(t) for n, t in self._topics.items()})
+        self._writer.add_metadata("result", metadata)
+        self._writer.finish()
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+        self._stream.close()
+        check(self._path)
+
+    def abandon(self) -> None:
+        """Close the file as it is: incomplete."""
+        self._stream.close()
+
+
+def check(path: Path) -> None:
+    """Read a whole file against its checksums, so that no flipped bit goes unnoticed.
+
+    Raises
+    ------
+    DamagedFileError
+        If the file is cut short or any byte differs from what was written.
+    """
+    with path.open("rb") as stream:
+        size = os.fstat(stream.fileno()).st_size
+        if size < _FOOTER_BYTES + _DATA_END_BYTES:
+            raise DamagedFileError(f"{path.name} is cut short")
+        stream.seek(size - _FOOTER_BYTES)
+        footer = stream.read(_FOOTER_BYTES)
+        opcode, length, summary_start, _, summary_crc = struct.unpack("<BQQQI", footer[:-8])
+        if opcode != 2 or length != 20 or not _DATA_END_BYTES <= summary_start < size:
+            raise DamagedFileError(f"{path.name} is cut short or damaged at its end")
+        if footer[-8:] != b"\x89MCAP0\r\n":
+            raise DamagedFileError(f"{path.name} is damaged at its end")
+        data_end = summary_start - _DATA_END_BYTES
+        data_crc = _crc(stream, 0, data_end)
+        opcode, length, expected = struct.unpack("<BQI", stream.read(_DATA_END_BYTES))
+        if (opcode, length, expected) != (15, 4, data_crc):
+            raise DamagedFileError(f"{path.name} is damaged: its data does not match its checksum")
+        if _crc(stream, summary_start, size - 12) != summary_crc:
+            raise DamagedFileError(f"{path.name} is damaged: its index does not match its checksum")
+
+
+def _crc(stream: BinaryIO, begin: int, end: int) -> int:
+    stream.seek(begin)
+    crc, left = 0, end - begin
+    while left > 0 and (block := stream.read(min(left, 1 << 22))):
+        crc = zlib.crc32(block, crc)
+        left -= len(block)
+    return crc
+
+
+def read_metadata(path: Path, name: str) -> dict[str, str]:
+    """The metadata record ``name`` of a complete file; empty if there is none."""
+    try:
+        with path.open("rb") as stream:
+            for record in SeekingReader(stream, validate_crcs=True).iter_metadata():
+                if record.name == name:
+                    return dict(record.metadata)
+    except (McapError, struct.error, ValueError, UnicodeDecodeError):
+        raise DamagedFileError(f"{path.name} is cut short or damaged") from None
+    return {}
+
+
+class Messages(Sequence[T], Generic[T]):
+    """The records of one topic in a complete file, decoded when they are asked for.
+
+    Can be pickled and sent to a worker that sees the same path.
+    """
+
+    def __init__(self, path: Path, topic: Topic[T]) -> None:
+        self.path = path
+        self.topic = topic
+        span = json.loads(read_metadata(path, "topics").get(topic.name, "[0, 0]"))
+        self._first, self._count = cast("list[int]", span)
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, index: int) -> T: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[T]: ...
+    def __getitem__(self, index: int | slice) -> T | Sequence[T]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(self._count))]
+        index = index + self._count if index < 0 else index
+        if not 0 <= index < self._count:
+            raise IndexError(index)
+        return next(self._read(index, index + 1))
+
+    def __iter__(self) -> Iterator[T]:
+        return self._read(0, self._count)
+
+    def _read(self, begin: int, end: int) -> Iterator[T]:
+        start = EPOCH_NS + self._first
+        messages = _reader(self.path).iter_messages(
+            topics=self.topic.name, starting_at=start + begin, ending_before=start + end
+        )
+        try:
+            for _, _, message in messages:
+                yield self.topic.decode(message.data)
+        except (McapError, struct.error, ValueError) as error:
+            raise DamagedFileError(f"{self.path.name} is damaged: {error}") from None
+
+
+def _reader(path: Path) -> SeekingReader:
+    stat = path.stat()
+    return _open_reader(path, stat.st_ino, stat.st_mtime_ns, os.getpid())
+
+
+@lru_cache(maxsize=8)
+def _open_reader(path: Path, inode: int, mtime_ns: int, pid: int) -> SeekingReader:
+    """A reader whose index is kept; inode and time tell a rewritten file, pid a forked process."""
+    return SeekingReader(path.open("rb"), validate_crcs=True)
+
+
+def recover(path: Path, key: str, topic: Topic[T]) -> Iterator[bytes]:
+    """Encoded messages of a topic from the whole part of a file that was cut short.
+
+    Nothing comes if the file is not there or was written for another key.
+    """
+    if not path.exists():
+        return
+    channels: set[int] = set()
+    with path.open("rb") as stream, suppress(McapError, struct.error, ValueError):
+        for record in StreamReader(stream, validate_crcs=True).records:
+            if isinstance(record, Metadata) and record.name == "stage":
+                if record.metadata.get("key") != key:
+                    return
+            elif isinstance(record, Channel) and record.topic == topic.name:
+                channels.add(record.id)
+            elif isinstance(record, Message) and record.channel_id in channels:
+                yield record.data

@@ -1,0 +1,105 @@
+"""What a run would do: for every stage its key, whether it runs, and why."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from spinpipe.pipeline.config import ConfigError, RunConfig
+from spinpipe.pipeline.keys import changed_parts, producers, stage_key, stage_parts
+from spinpipe.pipeline.mcap_file import DamagedFileError, check, read_metadata
+from spinpipe.pipeline.run_folder import RunFolder
+from spinpipe.stages import STAGES
+from spinpipe.stages.stage import Section, Stage
+
+_SHOWN_CHANGES = 3
+
+
+@dataclass(frozen=True)
+class Step:
+    """One stage of a plan."""
+
+    stage: Stage
+    config: Section
+    key: str
+    parts: Mapping[str, str] = field(repr=False)
+    action: str
+    """``"run"``, ``"reuse"`` or ``"skip"``."""
+    reason: str
+
+
+def make_plan(
+    config: RunConfig, folder: RunFolder, *, start: str | None = None, until: str | None = None
+) -> list[Step]:
+    """Decide for every stage whether it runs, from its key and the files that are there.
+
+    Parameters
+    ----------
+    config : the run's config.
+    folder : where the run's files are; need not exist.
+    start : stage from which on everything runs, whatever is there.
+    until : last stage that runs.
+
+    Raises
+    ------
+    ConfigError
+        If ``start`` or ``until`` is no stage, or ``start`` comes after ``until``.
+    StageError
+        If an input file is missing.
+    """
+    first = _index(start, "--from", default=len(STAGES))
+    last = _index(until, "--until", default=len(STAGES) - 1)
+    if start and first > last:
+        raise ConfigError(f"--from {start} comes after --until {until}: nothing would run")
+    steps: list[Step] = []
+    keys: dict[str, str] = {}
+    for i, stage in enumerate(STAGES):
+        section = config.stages[stage.name]
+        parts = stage_parts(
+            stage, section, config.run.seed, {name: keys[name] for name in producers(stage)}
+        )
+        keys[stage.name] = key = stage_key(parts)
+        if i > last:
+            action, reason = "skip", f"--until {until}"
+        elif i >= first:
+            action, reason = "run", f"--from {start}"
+        else:
+            action, reason = _decide(folder, stage.name, key, parts)
+        steps.append(Step(stage, section, key, parts, action, reason))
+    return steps
+
+
+def _index(stage: str | None, option: str, default: int) -> int:
+    if stage is None:
+        return default
+    names = [s.name for s in STAGES]
+    if stage not in names:
+        raise ConfigError(f"{option} {stage}: no such stage; stages are {', '.join(names)}")
+    return names.index(stage)
+
+
+def _decide(folder: RunFolder, stage: str, key: str, parts: Mapping[str, str]) -> tuple[str, str]:
+    path = folder.mcap(stage)
+    if not path.exists():
+        if folder.partial(stage).exists() or folder.interrupted(stage).exists():
+            return "run", "was interrupted"
+        return "run", "no output yet"
+    try:
+        check(path)
+        written = read_metadata(path, "stage")
+    except DamagedFileError as error:
+        return "run", str(error)
+    if written.get("key") == key:
+        return "reuse", "nothing it depends on changed"
+    return "run", _why(json.loads(written.get("parts", "{}")), parts)
+
+
+def _why(before: Mapping[str, str], now: Mapping[str, str]) -> str:
+    """Name what changed; an upstream stage stands for all that changed above it."""
+    changed = changed_parts(before, now)
+    own = [name for name in changed if not name.startswith("stage ")]
+    names = own or [name.removeprefix("stage ") for name in changed]
+    shown = ", ".join(names[:_SHOWN_CHANGES])
+    more = len(names) - _SHOWN_CHANGES
+    return f"{shown}{f' and {more} more' if more > 0 else ''} changed"

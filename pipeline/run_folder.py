@@ -1,0 +1,63 @@
+"""The files of a run and their names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from spinpipe.stages import STAGES
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """The folder of one run: one MCAP a stage, the recording, the results."""
+
+    path: Path
+
+    def mcap(self, stage: str) -> Path:
+        """Complete output of a stage, for instance ``03_scan.mcap``."""
+        number = next(i for i, s in enumerate(STAGES, 1) if s.name == stage)
+        return self.path / f"{number:02d}_{stage}.mcap"
+
+    def partial(self, stage: str) -> Path:
+        """Output of a stage that is still being written."""
+        return self.mcap(stage).with_suffix(".mcap.partial")
+
+    def interrupted(self, stage: str) -> Path:
+        """What an interrupted run left behind, while the next one takes it over."""
+        return self.mcap(stage).with_suffix(".mcap.interrupted")
+
+    @property
+    def lock(self) -> Path:
+        """Held by the process that works in this folder."""
+        return self.path / ".lock"
+
+    @property
+    def recording(self) -> Path:
+        """The Rerun recording."""
+        return self.path / "run.rrd"
+
+    @property
+    def config(self) -> Path:
+        """The config with every default filled in."""
+        return self.path / "config.resolved.toml"
+
+    @property
+    def report(self) -> Path:
+        """What ran, why, how long, with which versions."""
+        return self.path / "report.json"
+
+    @property
+    def detections_json(self) -> Path:
+        """Every candidate with its fate."""
+        return self.path / "detections.json"
+
+    @property
+    def detections_csv(self) -> Path:
+        """The accepted ones."""
+        return self.path / "detections.csv"
+
+    @property
+    def detections_ply(self) -> Path:
+        """The accepted models in scene coordinates."""
+        return self.path / "detections.ply"

@@ -1,0 +1,177 @@
+"""Runs a plan: each stage into its own MCAP file, drawn into the recording, results at the end."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from spinpipe.pipeline.atomic import commit
+from spinpipe.pipeline.config import RunConfig
+from spinpipe.pipeline.context import RunContext
+from spinpipe.pipeline.engine import Engine
+from spinpipe.pipeline.mcap_file import DamagedFileError, StageFileWriter, recover
+from spinpipe.pipeline.plan import Step
+from spinpipe.pipeline.progress import stage_progress
+from spinpipe.pipeline.run_folder import RunFolder
+from spinpipe.stages.stage import StageError
+
+LIBRARIES = ("spinpipe", "numpy", "scipy", "numba", "mcap", "rerun-sdk", "pycolmap", "kiss-icp")
+
+
+@dataclass
+class StageReport:
+    """What happened to one stage."""
+
+    stage: str
+    key: str
+    action: str
+    reason: str
+    seconds: float = 0.0
+    notes: list[str] = field(default_factory=list[str])
+
+
+class Runner:
+    """Executes the steps of a plan in one folder."""
+
+    def __init__(
+        self, config: RunConfig, folder: RunFolder, engine: Engine, console: Console
+    ) -> None:
+        self._config = config
+        self._folder = folder
+        self._engine = engine
+        self._console = console
+
+    def run(
+        self, steps: list[Step], on_stage: Callable[[str], None] = lambda stage: None
+    ) -> list[StageReport]:
+        """Run or reuse every step; ``on_stage`` is called when a stage's file is complete.
+
+        Raises
+        ------
+        StageError
+            From a stage, or if a file of an earlier stage turns out damaged.
+        """
+        reports: list[StageReport] = []
+        for step in steps:
+            report = StageReport(step.stage.name, step.key, step.action, step.reason)
+            reports.append(report)
+            if step.action == "skip":
+                continue
+            self._say(step)
+            if step.action == "run":
+                self._run_stage(step, report)
+            on_stage(step.stage.name)
+        return reports
+
+    def _say(self, step: Step) -> None:
+        action = {"run": "[bold]run  [/]", "reuse": "[dim]reuse[/]"}[step.action]
+        self._console.print(f"{action} {step.stage.name:<8} {step.reason}", highlight=False)
+
+    def _run_stage(self, step: Step, report: StageReport) -> None:
+        name = step.stage.name
+        partial = self._folder.partial(name)
+        self._set_aside(step)
+        writer = StageFileWriter(
+            partial, {"stage": name, "key": step.key, "parts": json.dumps(step.parts)}
+        )
+        for topic in step.stage.outputs:
+            writer.declare(topic)
+        began = time.perf_counter()
+        try:
+            with (
+                tempfile.TemporaryDirectory(prefix=".scratch-", dir=self._folder.path) as scratch,
+                stage_progress(self._console, name) as progress,
+            ):
+                context = RunContext(
+                    stage=step.stage,
+                    config=step.config,
+                    seed=self._config.run.seed,
+                    key=step.key,
+                    folder=self._folder,
+                    writer=writer,
+                    engine=self._engine,
+                    memory_bytes=int(self._config.execution.memory_gb * 1e9),
+                    scratch=Path(scratch),
+                    progress=progress,
+                )
+                step.stage.run(context)
+            report.seconds = round(time.perf_counter() - began, 3)
+            report.notes = context.notes
+            writer.close({"seconds": str(report.seconds)} | library_versions())
+        except StageError as error:
+            writer.abandon()
+            partial.unlink()
+            self._folder.interrupted(name).unlink(missing_ok=True)
+            raise StageError(f"{name}: {error}".replace(f"{name}: {name}: ", f"{name}: ")) from None
+        except DamagedFileError as error:
+            writer.abandon()
+            partial.unlink()
+            raise StageError(f"{name}: {error}; run again to make it anew") from None
+        except BaseException:
+            writer.abandon()  # what is written so far stays, for the next run to go on from
+            raise
+        commit(partial, self._folder.mcap(name))
+        self._folder.interrupted(name).unlink(missing_ok=True)
+        for note in report.notes:
+            self._console.print(f"      {'':<8} {note}", highlight=False, markup=False)
+
+    def _set_aside(self, step: Step) -> None:
+        """Keep the longer of what interrupted runs left, where ``Context.recovered`` finds it."""
+        name = step.stage.name
+        partial, interrupted = self._folder.partial(name), self._folder.interrupted(name)
+
+        def length(path: Path) -> int:
+            return sum(1 for topic in step.stage.outputs for _ in recover(path, step.key, topic))
+
+        if partial.exists() and length(partial) >= length(interrupted):
+            partial.replace(interrupted)
+
+
+@contextmanager
+def locked(folder: RunFolder) -> Iterator[None]:
+    """Hold the folder for this process.
+
+    Raises
+    ------
+    StageError
+        If another process works in it.
+    """
+    folder.path.mkdir(parents=True, exist_ok=True)
+    with folder.lock.open("w") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise StageError(
+                f"{folder.path}: another spinpipe works in this folder; "
+                "wait for it or choose another with --output"
+            ) from None
+        for stale in folder.path.glob(".scratch-*"):
+            shutil.rmtree(stale, ignore_errors=True)
+        yield
+
+
+def library_versions() -> dict[str, str]:
+    """Versions of what computes the results."""
+    return {name: version(name) for name in LIBRARIES}
+
+
+def report_document(config: RunConfig, reports: list[StageReport]) -> dict[str, Any]:
+    """Content of report.json."""
+    return {
+        "schema": 1,
+        "run": config.run.name,
+        "seed": config.run.seed,
+        "libraries": library_versions(),
+        "stages": [vars(report) for report in reports],
+    }
