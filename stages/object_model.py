@@ -1,5 +1,8 @@
 """Models of objects: read a mesh or a cloud, set it upright, sample the surface that is visible."""
 
+# trimesh's types are incomplete
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+
 from __future__ import annotations
 
 import re

@@ -1,5 +1,8 @@
 """LAS and LAZ clouds, as OpenDroneMap and survey tools write them."""
 
+# laspy's types are incomplete
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
+
 from __future__ import annotations
 
 from collections.abc import Iterator

@@ -1,5 +1,9 @@
 """PLY clouds: ascii and binary of both byte orders, any number types, extra properties ignored."""
 
+# plyfile has no types
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
+# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
+
 from __future__ import annotations
 
 import io
@@ -17,6 +21,7 @@ from plyfile import PlyData, PlyElement, PlyListProperty, PlyParseError
 
 from spinpipe.schemas.records import F64, U8
 from spinpipe.stages.colour_range import full_colour, to_8_bit
+from spinpipe.stages.ply_lists import ListRows
 from spinpipe.stages.stage import StageError
 
 _COLOURS = tuple(
@@ -121,7 +126,7 @@ class PlySource:
         if self._colours and self._full is None:
             self._full = full_colour(_matrix(rows, self._colours) for rows in self._rows(points))
         for rows in self._rows(points):
-            xyz = _matrix(rows, tuple("xyz")).astype(np.float64)
+            xyz = _matrix(rows, ("x", "y", "z")).astype(np.float64)
             if self._full is None:
                 yield xyz, np.full((len(rows), 3), 255, np.uint8)
             else:
@@ -175,7 +180,7 @@ class PlySource:
 
     def _text_rows(self, points: int) -> Iterator[NDArray[Any]]:
         fields = [prop.name for prop in self._vertex.properties]
-        wanted = (*"xyz", *self._colours)
+        wanted = ("x", "y", "z", *self._colours)
         columns = [fields.index(name) for name in wanted]
         leading = self._vertex.properties[: max(columns)]
         if any(isinstance(prop, PlyListProperty) for prop in leading):
@@ -216,16 +221,34 @@ class PlySource:
             ) from error
 
     def _list_rows(self, points: int) -> Iterator[NDArray[Any]]:
-        """Rows behind or among lists of any length: only a full read finds them."""
-        try:
-            rows = PlyData.read(self._path)["vertex"].data
-        except (PlyParseError, ValueError) as error:
-            raise StageError(
-                f"{self._path}: cannot read the points ({error}); "
-                "the file may be cut short, copy or export it again"
-            ) from error
-        for start in range(0, self.points, points):
-            yield rows[start : start + points]
+        """Rows behind or among lists of any length."""
+        names = ("x", "y", "z", *self._colours)
+        fields = [prop.name for prop in self._vertex.properties]
+        wanted = ListRows(self._layout(self._vertex), [fields.index(n) for n in names], names)
+        found = 0
+        with self._path.open("rb") as file:
+            file.seek(self._header.data_offset)
+            before = zip(self._header.elements, self._header.counts, strict=True)
+            for element, count in itertools.islice(before, self._index):
+                for _ in ListRows(self._layout(element)).read(file, count, points):
+                    pass
+            for rows in wanted.read(file, self.points, points):
+                found += len(rows)
+                yield rows
+        if found < self.points:
+            raise self._cut_short(found)
+
+    def _layout(self, element: PlyElement) -> list[tuple[np.dtype[Any] | None, np.dtype[Any]]]:
+        """Types of an element's properties in the file's byte order, with those of list counts."""
+        order = self._header.byte_order
+        layout: list[tuple[np.dtype[Any] | None, np.dtype[Any]]] = []
+        for prop in element.properties:
+            if isinstance(prop, PlyListProperty):
+                count, item = prop.list_dtype(order)
+                layout.append((np.dtype(count), np.dtype(item)))
+            else:
+                layout.append((None, np.dtype(prop.dtype(order))))
+        return layout
 
     def _cut_short(self, found: int) -> StageError:
         return StageError(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from spinpipe.schemas.records import F64
@@ -62,8 +62,10 @@ def _faces_by_cell(first: I64, last: I64, cells: int) -> tuple[I64, I64]:
     return starts, face[order]
 
 
-@numba.njit(cache=True, nogil=True)
-def _open_above(points, corners, cell, starts, members, tolerance):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True)
+def _open_above(
+    points: F64, corners: F64, cell: I64, starts: I64, members: I64, tolerance: float
+) -> NDArray[np.bool_]:
     free = np.ones(len(points), np.bool_)
     for i in range(len(points)):
         x, y, z = points[i]

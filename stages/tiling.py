@@ -49,10 +49,11 @@ class HashSample:
         self._count += len(self._hashes[-1])
         while self._count > self._most:
             self._bits += 1
-            gathered, kept = np.concatenate(self._hashes), self._below(np.concatenate(self._hashes))
-            self._xyz = [np.concatenate(self._xyz)[kept]]
-            self._hashes = [gathered[kept]]
-            self._count = int(kept.sum())
+            hashes = np.concatenate(self._hashes)
+            kept = self._below(hashes)
+            self._xyz = [self.points[kept]]
+            self._hashes = [hashes[kept]]
+            self._count = len(self._hashes[0])
 
     @property
     def points(self) -> F64:
