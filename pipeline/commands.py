@@ -16,6 +16,7 @@ from spinpipe.pipeline.export import export_results
 from spinpipe.pipeline.init import commented_config
 from spinpipe.pipeline.plan import Step, make_plan
 from spinpipe.pipeline.recorder import recorder
+from spinpipe.pipeline.recording import RecordMode
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.pipeline.runner import Runner, StageReport, locked, report_document
 from spinpipe.pipeline.tables import detection_table, plan_table, stage_tables
@@ -28,7 +29,7 @@ def run_command(
     overrides: list[str],
     start: str | None,
     until: str | None,
-    rerun: str,
+    rerun: RecordMode,
 ) -> None:
     """``spinpipe run``."""
     config = load_config(path, overrides)
@@ -36,7 +37,7 @@ def run_command(
 
 
 def execute(
-    config: RunConfig, folder: RunFolder, start: str | None, until: str | None, rerun: str
+    config: RunConfig, folder: RunFolder, start: str | None, until: str | None, rerun: RecordMode
 ) -> None:
     """Run a config in a folder and print what was found."""
     console = Console()
@@ -74,7 +75,7 @@ def _write_report(config: RunConfig, folder: RunFolder, reports: list[StageRepor
 
 
 def run_folder(config: RunConfig, output: Path | None) -> RunFolder:
-    """The folder of a run: as given, or recordings/<name> under the current one."""
+    """Name the folder of a run: as given, or recordings/<name> under the current one."""
     return RunFolder(output or Path("recordings") / config.run.name)
 
 
@@ -90,7 +91,7 @@ def plan_command(
     console.print(f"in {folder.path}/", highlight=False, soft_wrap=True)
 
 
-def demo_command(output: Path | None, noise_m: float, start: str | None, rerun: str) -> None:
+def demo_command(output: Path | None, noise_m: float, start: str | None, rerun: RecordMode) -> None:
     """``spinpipe demo``."""
     folder = RunFolder(output or Path("recordings/demo"))
     write_example(folder.path, noise_m)
@@ -123,7 +124,7 @@ def stages_command() -> None:
         console.print(table)
 
 
-def record_command(path: Path, rerun: str) -> None:
+def record_command(path: Path, rerun: RecordMode) -> None:
     """``spinpipe record``."""
     folder = RunFolder(path)
     if not folder.config.exists():

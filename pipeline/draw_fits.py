@@ -1,0 +1,135 @@
+"""Draw how the model was registered to each candidate, step by step.
+
+The timeline ``iteration`` counts the steps of all candidates one after the other: the poses of
+the best start after each iteration, then the pose that was reported. Every row also carries the
+candidate's id, so the timeline ``candidate`` jumps to the last step of each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import rerun as rr
+
+from spinpipe.pipeline import palette
+from spinpipe.pipeline.draw_model import hidden, model_path, model_shape, model_tint, pose_of
+from spinpipe.pipeline.drawing import CANDIDATE, WORLD, at_candidate, put
+from spinpipe.schemas.records import F32, F64, Detection, FitTrace, ObjectModel
+
+
+class Fit(NamedTuple):
+    """The steps of one candidate on the timeline ``iteration``."""
+
+    detection: Detection
+    trace: FitTrace | None
+    first_step: int
+    poses: F64
+    """(P, 4, 4) T_world_object at step ``first_step + i``."""
+
+
+def order_fits(detections: Sequence[Detection], traces: Sequence[FitTrace]) -> list[Fit]:
+    """Lay the candidates' steps behind each other, by id; of one candidate the best comes last."""
+    trace_of = {trace.cluster: trace for trace in traces}
+    fits: list[Fit] = []
+    step = 0
+    for detection in sorted(detections, key=lambda d: (d.cluster, d.score)):
+        trace = trace_of.get(detection.cluster)
+        poses = detection.T_world_object.reshape(1, 4, 4)
+        if trace is not None:
+            poses = np.concatenate([trace.poses.reshape(-1, 4, 4), poses])
+        fits.append(Fit(detection, trace, step, poses))
+        step += len(poses)
+    return fits
+
+
+def draw_shapes(rec: rr.RecordingStream, models: Sequence[ObjectModel]) -> None:
+    """Log the models once; their poses and colours follow over time."""
+    for model in models:
+        path = model_path("verify/fit", model.name)
+        put(rec, path, model_shape(model), WORLD, static=True)
+        rec.log(path, hidden())
+
+
+def draw_pose(
+    rec: rr.RecordingStream, detection: Detection, models: Mapping[str, ObjectModel]
+) -> None:
+    """Show one detection's model at the current time, and move the candidate's frame there."""
+    half = np.deg2rad(detection.heading_deg) / 2
+    rec.log(
+        "frames/candidate",
+        rr.Transform3D(
+            translation=detection.position_world,
+            quaternion=rr.Quaternion(xyzw=(0.0, 0.0, float(np.sin(half)), float(np.cos(half)))),
+            child_frame=CANDIDATE,
+            parent_frame=WORLD,
+        ),
+    )
+    for name, model in models.items():
+        path = model_path("verify/fit", name)
+        if name != detection.model:
+            rec.log(path, hidden())
+            continue
+        colour = (*palette.FATES[detection.fate], 130)
+        rec.log(path, model_tint(model, colour), pose_of(detection.T_world_object))
+
+
+def draw_fit(rec: rr.RecordingStream, fit: Fit, models: Mapping[str, ObjectModel]) -> None:
+    """Log the steps of one candidate: its model on the way to the reported pose."""
+    candidate = fit.detection.cluster
+    at_candidate(rec, candidate, fit.first_step)
+    draw_pose(rec, fit.detection, models)
+    if fit.detection.model not in models:
+        return
+    steps = fit.first_step + np.arange(len(fit.poses))
+    rec.send_columns(
+        model_path("verify/fit", fit.detection.model),
+        indexes=[
+            rr.TimeColumn("candidate", sequence=np.full(len(steps), candidate)),
+            rr.TimeColumn("iteration", sequence=steps),
+        ],
+        columns=rr.InstancePoses3D.columns(
+            translations=fit.poses[:, :3, 3], mat3x3=fit.poses[:, :3, :3]
+        ),
+    )
+
+
+def draw_rms(rec: rr.RecordingStream, fits: Sequence[Fit]) -> None:
+    """Log the residual of every start over the steps, broken off between candidates."""
+    traced = [fit for fit in fits if fit.trace is not None]
+    if not traced:
+        return
+    starts = max(fit.trace.rms_m.shape[0] for fit in traced if fit.trace is not None)
+    steps = np.concatenate([fit.first_step + np.arange(len(fit.poses)) for fit in traced])
+    curves = np.concatenate([_curves(fit, starts) for fit in traced])
+    best = np.fmin.reduce(curves, axis=1)
+    for path, rows, colours, width in (
+        ("verify/rms/starts", curves, palette.series(starts), 1.0),
+        ("verify/rms/best", best[:, None], np.array([palette.WHITE]), 2.5),
+    ):
+        rec.log(
+            path,
+            rr.SeriesLines(
+                colors=colours,
+                widths=np.full(rows.shape[1], width),
+                names=[f"start {i}" for i in range(starts)] if rows is curves else "best",
+            ),
+            static=True,
+        )
+        rec.send_columns(
+            path,
+            indexes=[rr.TimeColumn("iteration", sequence=steps)],
+            columns=rr.Scalars.columns(scalars=rows.reshape(-1)).partition(
+                np.full(len(rows), rows.shape[1])
+            ),
+        )
+
+
+def _curves(fit: Fit, starts: int) -> F32:
+    """(P, starts) residuals in metres at the fit's steps, NaN where there is none."""
+    curves = np.full((len(fit.poses), starts), np.nan, np.float32)
+    if fit.trace is not None:
+        rms = fit.trace.rms_m.T[: len(curves) - 1]
+        curves[: len(rms), : rms.shape[1]] = rms
+    return curves

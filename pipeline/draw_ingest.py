@@ -1,0 +1,105 @@
+"""Draw what ingest read: the cloud, the cameras and the models of the objects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+
+from spinpipe.pipeline import palette
+from spinpipe.pipeline.draw_model import model_bounds, model_path, model_points, model_shape
+from spinpipe.pipeline.drawing import CANDIDATE, LOCAL, WORLD, Reader, at_stage, note, put
+from spinpipe.pipeline.preview import preview_rows
+from spinpipe.schemas import CAMERAS, CLOUD, MODELS, SCENE, TILES
+from spinpipe.schemas.records import F64, Cameras, ObjectModel, SceneFrame, TileIndex
+
+
+def draw_ingest(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
+    """Log the thinned cloud once for all times, still tilted, with cameras and models."""
+    scene, tiles = read(SCENE)[0], read(TILES)[0]
+    cameras, models = read(CAMERAS), read(MODELS)
+    at_stage(rec, "ingest")
+    for frame in (LOCAL, CANDIDATE):
+        rec.log(f"frames/{frame}", rr.Transform3D(child_frame=frame, parent_frame=WORLD))
+    _draw_cloud(read, rec, preview_points, scene, tiles)
+    _draw_models(rec, models)
+    for shown in cameras:
+        _draw_cameras(rec, shown, tiles)
+    note(rec, _summary(scene, tiles, models, sum(len(c.positions) for c in cameras)))
+
+
+def _draw_cloud(
+    read: Reader,
+    rec: rr.RecordingStream,
+    preview_points: int,
+    scene: SceneFrame,
+    tiles: TileIndex,
+) -> None:
+    # radii are left to the views: fixed on the screen from afar, in metres close by
+    rows_of_tiles = preview_rows(tiles.counts.tolist(), preview_points)
+    for number, (tile, rows) in enumerate(zip(read(CLOUD), rows_of_tiles, strict=True)):
+        xyz, colors = tile.xyz[rows], tile.rgb[rows]
+        if not scene.coloured:
+            colors = palette.shade(xyz[:, 2], tiles.low[:, 2].min(), tiles.high[:, 2].max())
+        path = f"ingest/cloud/{number:04d}"
+        put(rec, path, rr.Points3D(xyz, colors=colors), LOCAL, static=True)
+
+
+def _draw_models(rec: rr.RecordingStream, models: Sequence[ObjectModel]) -> None:
+    """Models in a row along x, the points of the part that the sensor could see on each."""
+    x = 0.0
+    for model in models:
+        path, (low, high) = model_path("ingest/models", model.name), model_bounds(model)
+        rec.log(path, rr.Transform3D(translation=[x - low[0], 0, 0]), static=True)
+        rec.log(f"{path}/shape", model_shape(model, palette.PALE), static=True)
+        rec.log(f"{path}/points", model_points(model, palette.MARK), static=True)
+        top = [[(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, 1.15 * high[2]]]
+        rec.log(
+            f"{path}/name",
+            rr.Points3D(top, labels=model.name, colors=palette.WHITE, radii=-1.0),
+            static=True,
+        )
+        x += 1.3 * float(high[0] - low[0])
+
+
+def _draw_cameras(rec: rr.RecordingStream, cameras: Cameras, tiles: TileIndex) -> None:
+    size = 0.02 * float(np.linalg.norm(tiles.high.max(axis=0) - tiles.low.min(axis=0)))
+    frusta = rr.LineStrips3D(_frusta(cameras, size), colors=palette.MARK, radii=-1.0)
+    put(rec, "ingest/cameras", frusta, LOCAL, static=True)
+
+
+def _frusta(cameras: Cameras, size: float) -> F64:
+    """One line (C, L, 3) a camera: a pyramid that opens to where it looks, up side marked."""
+    a, b = 0.75 * size, 0.5 * size
+    tip, mark = (0, 0, 0), (0, -1.6 * b, size)
+    p, q, r, s = (-a, -b, size), (a, -b, size), (a, b, size), (-a, b, size)
+    line = np.array([tip, p, q, tip, r, s, tip, s, p, mark, q, r], np.float64)
+    u, w = cameras.quaternions_xyzw[:, None, :3], cameras.quaternions_xyzw[:, None, 3:]
+    turned = line + 2 * np.cross(u, np.cross(u, line) + w * line)
+    return turned + cameras.positions[:, None, :]
+
+
+def _summary(
+    scene: SceneFrame, tiles: TileIndex, models: Sequence[ObjectModel], cameras: int
+) -> str:
+    extent = tiles.high.max(axis=0) - tiles.low.min(axis=0)
+    origin = ", ".join(f"{value:.3f}" for value in scene.origin)
+    lines = [
+        f"## Ingest: {scene.source}",
+        f"- {scene.points:,} points in {len(tiles.counts)} tiles"
+        + (f", {scene.dropped:,} without finite coordinates left out" if scene.dropped else ""),
+        "- extent " + " x ".join(f"{length:.1f}" for length in extent) + " m",
+        f"- origin ({origin}) in scene coordinates, {scene.scale:g} m a unit",
+        f"- {cameras} cameras" if cameras else "- no cameras",
+        "",
+        "| model | length m | width m | height m | points | visible from |",
+        "|---|---|---|---|---|---|",
+    ]
+    for model in models:
+        length, width, height = np.diff(model_bounds(model), axis=0)[0]
+        lines.append(
+            f"| {model.name} | {length:.2f} | {width:.2f} | {height:.2f} "
+            f"| {len(model.points):,} | {model.visible_from} |"
+        )
+    return "\n".join(lines)

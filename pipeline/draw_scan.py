@@ -1,0 +1,97 @@
+"""Draw the scan: correlation of every origin, hits, histograms and spin images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+
+from spinpipe.pipeline import palette
+from spinpipe.pipeline.draw_model import model_path
+from spinpipe.pipeline.drawing import WORLD, Reader, at_stage, note, put
+from spinpipe.pipeline.preview import preview_rows
+from spinpipe.schemas import HITS, SCORES, SPIN_IMAGES
+from spinpipe.schemas.records import Hits, ScoreTile, SpinImage
+
+_BINS = np.linspace(-1, 1, 101)
+
+
+def draw_scan(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
+    """Log correlations tile by tile, and the best spin image of each model beside the model's."""
+    scores = read(SCORES)
+    # two passes over the file keep one tile in memory at a time
+    counts = [len(tile.points) for tile in scores]
+    histogram: dict[str, np.ndarray] = {}
+    for number, (tile, rows) in enumerate(
+        zip(scores, preview_rows(counts, preview_points), strict=True)
+    ):
+        at_stage(rec, "scan", tile=number)
+        shape = rr.Points3D(tile.points[rows], colors=tile.rgb[rows])
+        put(rec, f"scan/correlation/{number:04d}", shape, WORLD)
+        _count(tile, histogram)
+    at_stage(rec, "scan")
+    hits = read(HITS)
+    for group in hits:
+        _draw_hits(rec, group, preview_points)
+    for model, bars in histogram.items():
+        _draw_histogram(rec, model, bars)
+    images = read(SPIN_IMAGES)
+    for image in images:
+        _draw_spin_image(rec, image)
+    note(rec, _summary(sum(counts), hits, images))
+
+
+def _count(tile: ScoreTile, histogram: dict[str, np.ndarray]) -> None:
+    for column, model in enumerate(tile.models):
+        counts, _ = np.histogram(tile.correlation[:, column], _BINS)
+        histogram[model] = histogram.get(model, np.zeros(len(counts), np.int64)) + counts
+
+
+def _draw_histogram(rec: rr.RecordingStream, model: str, counts: np.ndarray) -> None:
+    # hits are one origin in a thousand: only a logarithm shows both sides of the threshold
+    rec.log(
+        model_path("scan/histogram", model),
+        rr.BarChart(
+            np.log10(1 + counts), abscissa=(_BINS[1:] + _BINS[:-1]) / 2, color=palette.MARK
+        ),
+    )
+
+
+def _draw_hits(rec: rr.RecordingStream, hits: Hits, preview_points: int) -> None:
+    (rows,) = preview_rows([len(hits.points)], preview_points)
+    shape = rr.Points3D(hits.points[rows], colors=palette.HIT, radii=-2.5)
+    put(rec, model_path("scan/hits", hits.model), shape, WORLD)
+
+
+def _draw_spin_image(rec: rr.RecordingStream, image: SpinImage) -> None:
+    rec.log(
+        f"{model_path('scan/spin_image', image.model)}/{image.role}",
+        rr.DepthImage(
+            image.values,
+            colormap="viridis",
+            depth_range=(0.0, max(float(image.values.max(initial=0)), 1.0)),
+            magnification_filter="nearest",
+        ),
+    )
+
+
+def _summary(origins: int, hits: Sequence[Hits], images: Sequence[SpinImage]) -> str:
+    best = {image.model: image for image in images if image.role == "scene"}
+    lines = [
+        "## Scan",
+        f"{origins:,} origins scored",
+        "",
+        "| model | hits | best correlation | spin image |",
+        "|---|---|---|---|",
+    ]
+    for group in hits:
+        image = best.get(group.model)
+        text = (
+            f"{image.correlation:.3f} | {image.radius_m:g} x {image.height_m:g} m, "
+            f"bins of {image.bin_m:g} m"
+            if image
+            else "- | -"
+        )
+        lines.append(f"| {group.model} | {len(group.points):,} | {text} |")
+    return "\n".join(lines)

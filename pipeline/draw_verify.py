@@ -1,0 +1,164 @@
+"""Draw what became of the candidates: boxes, headings, the reasons, and each registration."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import rerun as rr
+
+from spinpipe.pipeline import palette
+from spinpipe.pipeline.draw_fits import Fit, draw_fit, draw_pose, draw_rms, draw_shapes, order_fits
+from spinpipe.pipeline.draw_model import model_bounds
+from spinpipe.pipeline.drawing import WORLD, Reader, at_candidate, at_stage, note, put
+from spinpipe.schemas import DETECTIONS, MODELS, TRACES
+from spinpipe.schemas.records import F64, Detection, ObjectModel
+
+_NOTED = 40
+
+
+def draw_verify(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
+    """Log all fates at once, then candidate by candidate and iteration by iteration."""
+    detections = list(read(DETECTIONS))
+    models = {model.name: model for model in read(MODELS)}
+    at_stage(rec, "verify")
+    draw_shapes(rec, list(models.values()))
+    for fate in palette.FATES:
+        group = [d for d in detections if d.fate == fate][:preview_points]
+        _draw_boxes(rec, fate, group, models)
+    note(rec, _summary(detections))
+    if not detections:
+        return
+    draw_pose(rec, max(detections, key=lambda d: (d.fate == "accepted", d.score)), models)
+    _draw_ledger(rec, detections)
+    fits = order_fits(detections, read(TRACES))
+    draw_rms(rec, fits)
+    _draw_fates(rec, fits)
+    for fit in fits:
+        draw_fit(rec, fit, models)
+        at_candidate(rec, fit.detection.cluster, fit.first_step)
+        note(rec, _reasons(fit.detection))
+
+
+def _draw_boxes(
+    rec: rr.RecordingStream,
+    fate: str,
+    detections: Sequence[Detection],
+    models: Mapping[str, ObjectModel],
+) -> None:
+    rejected = fate == "rejected"
+    sizes = np.array([_size(d, models) for d in detections]).reshape(-1, 3)
+    base = np.array([d.position_world for d in detections]).reshape(-1, 3)
+    heading = np.deg2rad([d.heading_deg for d in detections])
+    zero = np.zeros_like(heading)
+    put(
+        rec,
+        f"verify/{fate}",
+        rr.Boxes3D(
+            centers=base + sizes * (0, 0, 0.5),
+            half_sizes=sizes / 2,
+            quaternions=np.stack([zero, zero, np.sin(heading / 2), np.cos(heading / 2)], axis=-1),
+            colors=palette.FATES[fate],
+            radii=-0.6 if rejected else -2.0,
+            fill_mode="MajorWireframe",
+            labels=[f"{d.cluster} {d.model} {d.score:.2f}" for d in detections],
+            show_labels=False if rejected else None,
+        ),
+        WORLD,
+    )
+    if rejected:
+        return
+    forward = np.stack([np.cos(heading), np.sin(heading), zero], axis=-1)
+    put(
+        rec,
+        f"verify/{fate}/heading",
+        rr.Arrows3D(
+            origins=base + sizes * (0, 0, 1),
+            vectors=forward * sizes[:, :1] * 0.7,
+            colors=palette.FATES[fate],
+            radii=-2.0,
+        ),
+        WORLD,
+    )
+
+
+def _size(detection: Detection, models: Mapping[str, ObjectModel]) -> F64:
+    size = np.array(detection.size_m, np.float64)
+    model = models.get(detection.model)
+    return np.diff(model_bounds(model), axis=0)[0] if model and not size.any() else size
+
+
+def _draw_fates(rec: rr.RecordingStream, fits: Sequence[Fit]) -> None:
+    rec.log(
+        "verify/fate",
+        rr.StateConfiguration(values=list(palette.FATES), colors=list(palette.FATES.values())),
+        static=True,
+    )
+    rec.send_columns(
+        "verify/fate",
+        indexes=[
+            rr.TimeColumn("candidate", sequence=[fit.detection.cluster for fit in fits]),
+            rr.TimeColumn("iteration", sequence=[fit.first_step for fit in fits]),
+        ],
+        columns=rr.StateChange.columns(state=[fit.detection.fate for fit in fits]),
+    )
+
+
+def _draw_ledger(rec: rr.RecordingStream, detections: Sequence[Detection]) -> None:
+    """One row a candidate, with the numbers that decided."""
+    ordered = sorted(detections, key=lambda d: (d.cluster, d.score))
+    rec.send_columns(
+        "verify/ledger",
+        indexes=[rr.TimeColumn("candidate", sequence=[d.cluster for d in ordered])],
+        columns=rr.AnyValues.columns(
+            fate=[d.fate for d in ordered],
+            reason=[d.reason for d in ordered],
+            model=[d.model for d in ordered],
+            score=[d.score for d in ordered],
+            correlation=[d.correlation for d in ordered],
+            rms_m=[d.rms_m for d in ordered],
+            coverage_model=[d.coverage_model for d in ordered],
+            coverage_scene=[d.coverage_scene for d in ordered],
+            heading_deg=[d.heading_deg for d in ordered],
+            heading_margin=[d.heading_margin for d in ordered],
+        ),
+    )
+
+
+def _summary(detections: Sequence[Detection]) -> str:
+    fates = Counter(d.fate for d in detections)
+    kept = sorted((d for d in detections if d.fate != "rejected"), key=lambda d: (d.fate, -d.score))
+    lines = [
+        "## " + ", ".join(f"{fates[fate]} {fate}" for fate in palette.FATES),
+        "",
+        "| id | model | fate | score | x m | y m | heading | rms m |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for d in kept[:_NOTED]:
+        x, y, _ = d.position_world
+        lines.append(
+            f"| {d.cluster} | {d.model} | {d.fate} | {d.score:.2f} | {x:.2f} | {y:.2f} "
+            f"| {d.heading_deg:.0f}° | {d.rms_m:.3f} |"
+        )
+    if len(kept) > _NOTED:
+        lines.append(f"\n... and {len(kept) - _NOTED} more")
+    return "\n".join(lines)
+
+
+def _reasons(d: Detection) -> str:
+    numbers = [
+        ("score", f"{d.score:.3f}"),
+        ("correlation", f"{d.correlation:.3f}"),
+        ("residual", f"{d.rms_m:.3f} m, {d.inliers} inliers"),
+        ("runner-up", f"{d.runner_up_rms_m:.3f} m at {d.runner_up_heading_deg:.0f}°"),
+        ("heading", f"{d.heading_deg:.1f}°, margin {d.heading_margin:.2f}"),
+        ("model explained by scene", f"{d.coverage_model:.0%}"),
+        ("scene explained by model", f"{d.coverage_scene:.0%}"),
+        ("surface that could be seen", f"{d.observed:.0%}"),
+    ]
+    if d.alternative:
+        numbers.append(("next best model", f"{d.alternative}, margin {d.alternative_margin:.2f}"))
+    numbers += [(part.name, f"{part.value:.4g}") for part in d.parts]
+    lines = [f"## Candidate {d.cluster}: {d.model} {d.fate}", d.reason, "", "| | |", "|---|---|"]
+    return "\n".join(lines + [f"| {name} | {value} |" for name, value in numbers])

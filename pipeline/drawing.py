@@ -1,0 +1,79 @@
+"""What the drawings of all stages share: where messages come from, timelines and frames.
+
+A drawing is a pure function from a run's messages to Rerun entities. It computes no results, so a
+recording can be rebuilt from the MCAP files at any time.
+
+Entities are named like the stages and topics they show, and live in three named frames: ``local``
+and ``world`` as in the messages, and ``candidate``, the object frame of the candidate under the
+time cursor. The time cursor stands on one of four timelines that are not time:
+
+- ``stage``: 1 ingest ... 5 verify; what the run knew after that stage,
+- ``tile``: origins scored tile by tile,
+- ``candidate``: one candidate after the other, by id,
+- ``iteration``: the registration steps of all candidates, one after the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol, TypeVar
+
+import rerun as rr
+
+from spinpipe.schemas.topics import Topic
+
+T = TypeVar("T")
+
+STAGE_NUMBER = {"ingest": 1, "ground": 2, "scan": 3, "cluster": 4, "verify": 5}
+LOCAL, WORLD, CANDIDATE = "local", "world", "candidate"
+NOTES = "notes"
+"""One text pane for all: it tells about the stage or the candidate under the time cursor."""
+
+
+class Reader(Protocol):
+    """Gives all messages of a topic of the run, whichever stage wrote them."""
+
+    def __call__(self, topic: Topic[T], /) -> Sequence[T]:
+        """Messages in the order in which they were written."""
+        ...
+
+
+def at_stage(rec: rr.RecordingStream, name: str, tile: int = 0) -> None:
+    """Log what follows as a result of stage ``name``.
+
+    A viewer shows an entity only where the active timeline has a row of it, so a result is also
+    there from the beginning of every other timeline.
+
+    Parameters
+    ----------
+    rec : recording
+    name : stage
+    tile : first step of the timeline ``tile`` at which it shows
+    """
+    rec.reset_time()
+    rec.set_time("stage", sequence=STAGE_NUMBER[name])
+    rec.set_time("tile", sequence=tile)
+    rec.set_time("candidate", sequence=0)
+    rec.set_time("iteration", sequence=0)
+
+
+def at_candidate(rec: rr.RecordingStream, candidate: int, iteration: int | None = None) -> None:
+    """Log what follows for one candidate, and from one step of the timeline ``iteration`` on."""
+    rec.reset_time()
+    rec.set_time("candidate", sequence=candidate)
+    if iteration is not None:
+        rec.set_time("iteration", sequence=iteration)
+
+
+def put(
+    rec: rr.RecordingStream, path: str, shape: rr.AsComponents, frame: str, static: bool = False
+) -> None:
+    """Log a shape whose coordinates are in ``frame``, now or for all times."""
+    # the frame is static: before its first row an entity would hang in a frame of its own
+    rec.log(path, rr.CoordinateFrame(frame), static=True)
+    rec.log(path, shape, static=static)
+
+
+def note(rec: rr.RecordingStream, markdown: str) -> None:
+    """Put a text in the pane of notes at the current time."""
+    rec.log(NOTES, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN))
