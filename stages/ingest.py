@@ -42,9 +42,9 @@ class Ingest:
         """``[ingest]``, and the ``[[model]]`` sections."""
 
         scene: InputPath = Field(description="PLY, LAS or LAZ file, or folder of a COLMAP model")
-        scale: float = Field(1.0, gt=0, description="metres per unit of the scene")
+        scale: float = Field(default=1.0, gt=0, description="metres per unit of the scene")
         tile_points: int = Field(
-            262_144, ge=1024, le=1_048_576, description="most points of a tile"
+            default=262_144, ge=1024, le=1_048_576, description="most points of a tile"
         )
         models: tuple[ModelConfig, ...] = Field(min_length=1, description="objects to look for")
 

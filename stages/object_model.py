@@ -32,14 +32,19 @@ class ModelConfig(Section):
     name: str = Field(description="name of the object: letters, digits, '_', '-' and '.'")
     path: InputPath = Field(description="mesh (OBJ, STL, PLY, GLB, OFF) or cloud (PLY, LAS)")
     visible_from: Literal["all", "above"] = Field(
-        "all", description="which part of a mesh the photos show: all of it or what lies open above"
+        default="all",
+        description="which part of a mesh the photos show: all of it or what lies open above",
     )
-    scale: float = Field(1.0, gt=0, description="metres per unit of the file")
-    up: Axis = Field("z", description="axis of the file that points up")
-    forward: Axis = Field("x", description="axis of the file that points forward: heading 0")
-    samples: int = Field(25_000, ge=100, le=5_000_000, description="points drawn from a mesh")
+    scale: float = Field(default=1.0, gt=0, description="metres per unit of the file")
+    up: Axis = Field(default="z", description="axis of the file that points up")
+    forward: Axis = Field(
+        default="x", description="axis of the file that points forward: heading 0"
+    )
+    samples: int = Field(
+        default=25_000, ge=100, le=5_000_000, description="points drawn from a mesh"
+    )
     stretch: float = Field(
-        0.0, ge=0, le=0.5, description="how far each axis may stretch to fit, 0.1 = 10 %"
+        default=0.0, ge=0, le=0.5, description="how far each axis may stretch to fit, 0.1 = 10 %"
     )
 
     @field_validator("name")
@@ -139,7 +144,7 @@ def _read_cloud(path: Path, where: str) -> F64:
     chunks = [xyz for xyz, _ in open_scene(path).chunks(_CHUNK)]
     points = np.concatenate([np.empty((0, 3)), *chunks])
     if len(points) < 3:
-        raise StageError(f"{where}: has neither faces nor points enough; give a mesh or a cloud")
+        raise StageError(f"{where}: has neither faces nor enough points; give a mesh or a cloud")
     return points
 
 

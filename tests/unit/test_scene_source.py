@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from plyfile import PlyData, PlyElement
 
@@ -61,6 +61,7 @@ def vertices(xyz: Any, columns: list[tuple[str, str, Any]], number: str = "f4") 
     extra=st.booleans(),
     before=st.booleans(),
 )
+@settings(deadline=None)
 def test_ply_flavours_round_trip(
     tmp_path_factory: pytest.TempPathFactory,
     count: int,
