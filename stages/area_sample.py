@@ -1,0 +1,123 @@
+"""A bounded sample of a streamed cloud that is uniform in area and independent of order.
+
+One point stays in each occupied voxel: the one whose coordinates have the smallest hash. Voxels
+are nested (edges are powers of two), so whenever too many are occupied the edge doubles and the
+points kept so far are thinned again. The outcome is the finest grid that fits, whatever the order
+of the points and however they are cut into tiles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+F32 = NDArray[np.float32]
+I64 = NDArray[np.int64]
+U64 = NDArray[np.uint64]
+
+FLOAT32_STEPS = 2.0**24
+"""A float32 has 24 significant bits: a finer grid than this share of the extent says nothing."""
+SALTS = np.array([0x9E3779B97F4A7C15, 0x3C6EF372FE94F82A, 0xDAA66D2C7DDF743F], np.uint64)
+"""Multiples of the golden ratio, so that swapped coordinates differ."""
+
+
+@dataclass(frozen=True)
+class AreaSample:
+    """One point for each occupied voxel, sorted by hash."""
+
+    points: F32
+    """(N, 3) in the frame of the cloud."""
+    counts: I64
+    """(N,) points of the cloud in each voxel."""
+    voxel: float
+    """Edge of the voxels, a power of two in units of the cloud."""
+
+    def coarser(self) -> AreaSample:
+        """Return the sample that voxels of twice the edge would have given."""
+        return _thin(self.points, self.counts, 2 * self.voxel)
+
+
+def _mix(words: U64) -> U64:
+    """Finaliser of splitmix64 (Steele, Lea, Flood 2014): a bijection that spreads every bit."""
+    words = (words ^ (words >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    words = (words ^ (words >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return words ^ (words >> np.uint64(31))
+
+
+def _hash_rows(columns: U64) -> U64:
+    """Hash of each row of (N, 3) 64-bit words."""
+    state = np.zeros(len(columns), np.uint64)
+    for column, salt in zip(columns.T, SALTS, strict=True):
+        state = _mix(state ^ (column + salt))
+    return state
+
+
+def _thin(points: F32, counts: I64, voxel: float) -> AreaSample:
+    """Keep the point with the smallest hash of each voxel, in the order of the hashes."""
+    if len(points) == 0:
+        return AreaSample(points, counts, voxel)
+    cells = np.floor(points.astype(np.float64) / voxel).astype(np.int64).view(np.uint64)
+    keys = _hash_rows(cells)  # 64 bits: two voxels never share one in practice
+    # -0.0 and 0.0 are one coordinate, so they must be one bit pattern.
+    hashes = _hash_rows((points + np.float32(0)).view(np.uint32).astype(np.uint64))
+    order = np.lexsort((hashes, keys))
+    starts = np.flatnonzero(np.diff(keys[order], prepend=~keys[order[:1]]))
+    kept = order[starts]
+    totals = np.add.reduceat(counts[order], starts)
+    by_hash = np.argsort(hashes[kept], kind="stable")
+    return AreaSample(points[kept[by_hash]], totals[by_hash], voxel)
+
+
+def sample_by_area(
+    tiles: Iterable[F32], extent: float, limit: int, *, occupancy: float = 2.0, least: int = 2000
+) -> AreaSample:
+    """Sample a cloud uniformly by area with at most ``limit`` points.
+
+    Parameters
+    ----------
+    tiles
+        Pieces of the cloud, each (N, 3) float32.
+    extent
+        Largest edge of the cloud's bounding box.
+    limit
+        Most points in the sample.
+    occupancy
+        The voxels grow until they hold this many points on average, so that the sample follows
+        the surface and not the density of the points ...
+    least
+        ... but not when fewer than this many voxels would be left.
+
+    Returns
+    -------
+    AreaSample
+        The same for every order of the points and every division into tiles.
+    """
+    smallest = max(extent / FLOAT32_STEPS, float(np.finfo(np.float32).tiny))
+    sample = _thin(
+        np.empty((0, 3), np.float32),
+        np.empty(0, np.int64),
+        2.0 ** float(np.ceil(np.log2(smallest))),
+    )
+    for tile in tiles:
+        points = np.ascontiguousarray(tile, np.float32)
+        piece = _thin(points, np.ones(len(points), np.int64), sample.voxel)
+        while len(piece.points) > limit:
+            piece = piece.coarser()
+        while sample.voxel < piece.voxel:
+            sample = sample.coarser()
+        sample = _thin(
+            np.concatenate([sample.points, piece.points]),
+            np.concatenate([sample.counts, piece.counts]),
+            sample.voxel,
+        )
+        while len(sample.points) > limit:
+            sample = sample.coarser()
+    while len(sample.points) > least and sample.counts.mean() < occupancy:
+        coarser = sample.coarser()
+        if len(coarser.points) < least:
+            break
+        sample = coarser
+    return sample

@@ -1,0 +1,229 @@
+"""The ground stage: finds the ground and turns the scene upright."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator
+from scipy.spatial.transform import Rotation
+
+from spinpipe.schemas import CAMERAS, CLOUD, PLANE, TILES, UPRIGHT
+from spinpipe.schemas.records import Evidence, Plane, Upright
+from spinpipe.stages.area_sample import AreaSample, sample_by_area
+from spinpipe.stages.ground_evidence import solid_surface
+from spinpipe.stages.level import ground_level
+from spinpipe.stages.plane import (
+    SIGMAS,
+    FittedPlane,
+    LocalPlanes,
+    is_collinear,
+    local_planes,
+    ransac_planes,
+    refine_plane,
+)
+from spinpipe.stages.stage import Context, Section, StageError
+from spinpipe.stages.upright import best_rival, rank, up_quaternion
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+PLANES = 6
+"""Planes that are tried as the ground."""
+SMOOTHEST = 0.1
+"""Share of the surface that is smooth in every scene."""
+FLOOR_DISTANCE = 1e-3
+"""Smallest inlier distance, in voxels of the sample: noiseless planes have float32 noise."""
+WIDEST_DISTANCE = 0.02
+"""Largest inlier distance that is tried when none is stated, as a share of the extent."""
+
+
+class Ground:
+    """Estimate the ground plane and the rotation that turns the scene upright."""
+
+    name: ClassVar[str] = "ground"
+    version: ClassVar[int] = 1
+    inputs = (CLOUD, TILES, CAMERAS)
+    outputs = (PLANE, UPRIGHT)
+
+    class Config(Section):
+        """Where up is, or how to find it."""
+
+        up: Literal["auto"] | tuple[float, float, float] = Field(
+            "auto", description="'auto', or the up direction [x, y, z] in scene coordinates"
+        )
+        inlier_distance_m: float | None = Field(
+            None, gt=0, description="distance from the ground plane; measured if not stated"
+        )
+        min_inlier_share: float = Field(
+            0.1, gt=0, lt=1, description="smallest share of the surface that a plane may hold"
+        )
+        min_margin: float = Field(
+            1.5, gt=1, description="how much better the evidence for up must be than for its rival"
+        )
+        confidence: float = Field(
+            0.9999, gt=0, lt=1, description="probability that RANSAC draws three inliers"
+        )
+        iterations: int = Field(20_000, ge=1, description="most hypotheses for each plane")
+        sample_points: int = Field(
+            150_000, ge=1000, le=2_000_000, description="most points in the sample of the surface"
+        )
+
+        @field_validator("up")
+        @classmethod
+        def _not_zero(cls, up: str | tuple[float, float, float]) -> object:
+            if not isinstance(up, str) and not any(up):
+                raise ValueError("up must not be [0, 0, 0]")
+            return up
+
+    def run(self, ctx: Context[Config]) -> None:
+        """Sample the cloud, find the ground, write its plane and the upright rotation."""
+        sample = _sample(ctx)
+        points = sample.points.astype(np.float64)
+        local = local_planes(points)
+        if ctx.config.up == "auto":
+            plane = _estimate(ctx, points, local, sample.voxel)
+        else:
+            plane = _stated(np.array(ctx.config.up), ctx.config, points, local, sample.voxel)
+        up = np.array(plane.normal)
+        ctx.write(PLANE, plane)
+        ctx.write(UPRIGHT, Upright(up_quaternion(up), (0.0, 0.0, plane.offset)))
+        ctx.log(
+            f"up is {format_vector(up)} in scene axes (from {plane.up_source});"
+            f" ground rms {plane.rms_m:.3f} m, {plane.inliers / plane.points:.0%} of the surface"
+        )
+
+
+def _sample(ctx: Context[Ground.Config]) -> AreaSample:
+    index = ctx.read_one(TILES)
+    total = int(index.counts.sum())
+    if total == 0:
+        raise StageError("ground: the cloud is empty; check the input of [ingest]")
+    cloud = ctx.read(CLOUD)
+    progress = ctx.progress("points", total)
+
+    def tiles() -> Iterator[F32]:
+        for tile in cloud:
+            yield tile.xyz
+            progress.advance(len(tile.xyz))
+
+    extent = float((index.high.max(axis=0) - index.low.min(axis=0)).max())
+    sample = sample_by_area(tiles(), extent, ctx.config.sample_points)
+    if len(np.unique(sample.points, axis=0)) < 3:
+        raise StageError("ground: fewer than three distinct points; the scene needs a surface")
+    if is_collinear(sample.points.astype(np.float64)):
+        raise StageError("ground: all points lie on one line; the scene needs a surface")
+    return sample
+
+
+def _estimate(ctx: Context[Ground.Config], points: F64, local: LocalPlanes, voxel: float) -> Plane:
+    """Choose the plane and the side that the evidence speaks for."""
+    config = ctx.config
+    planes = find_planes(config, points, inlier_distance(config, local, voxel), ctx.rng)
+    if not planes:
+        raise StageError(
+            f"ground: no plane holds {config.min_inlier_share:.0%} of the surface; set"
+            " ground.up = [x, y, z], or raise ground.inlier_distance_m"
+        )
+    cameras = None
+    for message in ctx.read(CAMERAS):
+        rotations = Rotation.from_quat(message.quaternions_xyzw).as_matrix()
+        cameras = (message.positions, rotations)
+    surface = solid_surface(points, local.normals, voxel)
+    hypotheses = rank(surface, planes, cameras)
+    best, rival = hypotheses[0], best_rival(hypotheses)
+    if best.score < config.min_margin * rival.score:
+        raise StageError(
+            "ground: cannot tell which way is up: candidates"
+            f" {format_vector(best.up)} and {format_vector(rival.up)};"
+            f" set ground.up = {format_vector(best.up)} (or the other) in the config"
+        )
+    by_points = best.weight("points") / rival.weight("points")
+    by_cameras = best.weight("cameras") / rival.weight("cameras")
+    plane = refine_plane(
+        surface.points[best.terrain.members],
+        best.terrain.plane,
+        fixed_distance=config.inlier_distance_m is not None,
+    )
+    return to_record(
+        plane,
+        points,
+        "cameras" if by_cameras > by_points else "points",
+        {**best.evidence, "margin": best.score / rival.score},
+    )
+
+
+def _stated(up: F64, config: Ground.Config, points: F64, local: LocalPlanes, voxel: float) -> Plane:
+    """Keep the stated direction and find the height of the ground along it."""
+    normal = up / np.linalg.norm(up)
+    distance = inlier_distance(config, local, voxel)
+    level = ground_level(points, normal, voxel, distance)
+    return to_record(FittedPlane(normal, -level, distance), points, "config", {})
+
+
+def inlier_distance(config: Ground.Config, local: LocalPlanes, voxel: float) -> float:
+    """Derive the inlier distance from the noise of the smoothest surfaces unless it is stated.
+
+    Rougher ground is reached by widening; clutter must not widen it from the start.
+    """
+    if config.inlier_distance_m is not None:
+        return config.inlier_distance_m
+    noise = float(np.quantile(local.deviations, SMOOTHEST))
+    return max(SIGMAS * noise, FLOOR_DISTANCE * voxel)
+
+
+def find_planes(
+    config: Ground.Config, points: F64, distance: float, rng: np.random.Generator
+) -> list[FittedPlane]:
+    """Find the largest planes, with an inlier distance as small as the scene allows.
+
+    Where none is stated it starts at the noise of the surface and doubles until a plane is found:
+    natural ground is rougher at large than it is locally.
+    """
+    centre = np.median(points, axis=0)
+    centred = points - centre
+    low, high = np.quantile(centred, (0.05, 0.95), axis=0)
+    widest = WIDEST_DISTANCE * float(np.linalg.norm(high - low))
+    stated = config.inlier_distance_m is not None
+    while True:
+        planes = ransac_planes(
+            centred,
+            distance,
+            rng,
+            count=PLANES,
+            min_share=config.min_inlier_share,
+            confidence=config.confidence,
+            max_trials=config.iterations,
+            fixed_distance=stated,
+        )
+        if planes or stated or 2 * distance > widest:
+            break
+        distance *= 2
+    return [
+        FittedPlane(p.normal, p.offset - float(p.normal @ centre), p.inlier_distance)
+        for p in planes
+    ]
+
+
+def to_record(plane: FittedPlane, points: F64, source: str, evidence: dict[str, float]) -> Plane:
+    """Describe a plane with its inliers among the sample."""
+    heights = plane.heights(points)
+    inliers = heights[np.abs(heights) < plane.inlier_distance]
+    x, y, z = plane.normal
+    return Plane(
+        normal=(float(x), float(y), float(z)),
+        offset=plane.offset,
+        inliers=len(inliers),
+        points=len(points),
+        rms_m=float(np.sqrt(np.mean(inliers**2))) if len(inliers) else 0.0,
+        inlier_distance_m=plane.inlier_distance,
+        up_source=source,
+        evidence=tuple(Evidence(name, float(value)) for name, value in evidence.items()),
+    )
+
+
+def format_vector(vector: F64) -> str:
+    """Write a unit vector as it stands in the config."""
+    return "[" + ", ".join(f"{v + 0.0:.4f}" for v in vector) + "]"

@@ -1,0 +1,247 @@
+"""Planes in a point sample: RANSAC with local optimisation, refined to convergence.
+
+[Fischler & Bolles 1981] for the scheme and its number of trials, [Torr & Zisserman 2000] for the
+truncated quadratic score (MSAC), [Chum, Matas & Kittler 2003] for refining the best hypotheses
+before they are compared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+F64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+BATCH = 256
+SCORED = 4096
+"""Points that score a hypothesis; the finalists are refined on all of them."""
+FINALISTS = 8
+GAUSSIAN_MAD = 1.4826
+"""Standard deviation of a normal distribution in units of its median absolute deviation."""
+SIGMAS = 3.0
+"""Inlier distance in standard deviations of the noise."""
+
+
+@dataclass(frozen=True)
+class FittedPlane:
+    """``dot(normal, p) + offset = 0`` with a unit normal of either sign."""
+
+    normal: F64
+    offset: float
+    inlier_distance: float
+    """Points nearer than this are inliers: three standard deviations of their noise."""
+
+    def heights(self, points: F64) -> F64:
+        """Signed distances of (N, 3) points from the plane."""
+        return points @ self.normal + self.offset
+
+    def flipped(self) -> FittedPlane:
+        """Return the same plane with its normal on the other side."""
+        return FittedPlane(-self.normal, -self.offset, self.inlier_distance)
+
+
+@dataclass(frozen=True)
+class LocalPlanes:
+    """The plane of each point and its nearest neighbours."""
+
+    normals: F64
+    """(N, 3) unit normals of either sign."""
+    deviations: F64
+    """(N,) standard deviation of the neighbours from the plane."""
+
+
+def local_planes(points: F64, *, neighbours: int = 16) -> LocalPlanes:
+    """Principal components of each point and its nearest neighbours [Hoppe et al. 1992].
+
+    Parameters
+    ----------
+    points
+        (N, 3), N >= 4.
+    neighbours
+        Points in each plane, itself included.
+    """
+    neighbours = min(neighbours, len(points))
+    _, index = cKDTree(points).query(points, k=neighbours)
+    patches = points[index]
+    patches = patches - patches.mean(axis=1, keepdims=True)
+    values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", patches, patches))
+    # Three parameters were fitted to each patch.
+    deviations = np.sqrt(np.maximum(values[:, 0], 0) / max(neighbours - 3, 1))
+    return LocalPlanes(vectors[:, :, 0], deviations)
+
+
+def is_collinear(points: F64, *, tolerance: float = 1e-6) -> bool:
+    """Whether (N, 3) points span no plane."""
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return len(spread) < 2 or bool(spread[1] <= tolerance * spread[0])
+
+
+def _hypotheses(points: F64, rng: np.random.Generator, count: int) -> tuple[F64, F64]:
+    """Planes through ``count`` random triples: (H, 3) unit normals and (H,) offsets."""
+    triples = points[rng.integers(len(points), size=(count, 3))]
+    normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    proper = lengths > 0
+    normals = normals[proper] / lengths[proper, None]
+    return normals, -np.einsum("hi,hi->h", normals, triples[proper, 0])
+
+
+def _trials(share: float, confidence: float) -> float:
+    """Triples after which one was all inliers with ``confidence`` [Fischler & Bolles 1981]."""
+    hit = share**3
+    if hit >= 1:
+        return 1
+    return np.inf if hit <= 0 else np.log1p(-confidence) / np.log1p(-hit)
+
+
+def msac_score(heights: F64, distance: float) -> F64:
+    """Sum the truncated quadratic scores of (N, ...) residuals over N [Torr & Zisserman 2000]."""
+    return np.maximum(1 - (heights / distance) ** 2, 0).sum(axis=0)
+
+
+def refine_plane(
+    points: F64, plane: FittedPlane, *, fixed_distance: bool = False, rounds: int = 50
+) -> FittedPlane:
+    """Least squares on the inliers to convergence, with Tukey's weights and a robust scale.
+
+    The inlier distance follows the spread that the inliers show (median absolute deviation
+    within twice the distance), up to four times the one it started from, so that a surface that
+    is rougher at large than it is locally still counts as one plane.
+
+    Parameters
+    ----------
+    points
+        (N, 3), all of the sample.
+    plane
+        First guess.
+    fixed_distance
+        Keep the inlier distance as given.
+    rounds
+        Most iterations.
+    """
+    first = plane.inlier_distance
+    for _ in range(rounds):
+        heights = plane.heights(points)
+        distance = plane.inlier_distance
+        if not fixed_distance:
+            near = np.abs(heights[np.abs(heights) < 2 * distance])
+            if len(near) >= 3:
+                spread = SIGMAS * GAUSSIAN_MAD * float(np.median(near))
+                distance = float(np.clip(spread, first, 4 * first))
+        weights = np.maximum(1 - (heights / distance) ** 2, 0) ** 2
+        if np.count_nonzero(weights) < 3:
+            return plane
+        centre = weights @ points / weights.sum()
+        arms = points - centre
+        normal = np.linalg.eigh(arms.T @ (arms * weights[:, None]))[1][:, 0]
+        normal *= np.copysign(1.0, normal @ plane.normal)
+        refined = FittedPlane(normal, -float(normal @ centre), distance)
+        moved = np.abs(refined.heights(points) - heights).max()
+        plane = refined
+        if moved < 1e-4 * distance:
+            break
+    return plane
+
+
+def ransac_plane(
+    points: F64,
+    distance: float,
+    rng: np.random.Generator,
+    *,
+    confidence: float = 0.9999,
+    max_trials: int = 20_000,
+    fixed_distance: bool = False,
+) -> FittedPlane:
+    """Find the plane with the best truncated quadratic score.
+
+    Parameters
+    ----------
+    points
+        (N, 3), N >= 3, in random order (the first ones score the hypotheses).
+    distance
+        Inlier distance.
+    rng
+        Draws the triples.
+    confidence
+        Stop when a triple of inliers was drawn with this probability ...
+    max_trials
+        ... or after this many triples.
+    fixed_distance
+        Keep the inlier distance as given while refining.
+
+    Raises
+    ------
+    ValueError
+        If no triple spans a plane.
+    """
+    scored = points[:SCORED]
+    finalists: list[tuple[float, FittedPlane]] = []
+    needed, drawn = float(max_trials), 0
+    while drawn < min(needed, max_trials):
+        normals, offsets = _hypotheses(points, rng, BATCH)
+        drawn += BATCH
+        if len(normals) == 0:
+            continue
+        heights = scored @ normals.T + offsets
+        scores = msac_score(heights, distance)
+        for h in np.argsort(-scores, kind="stable")[:FINALISTS]:
+            finalists.append(
+                (float(scores[h]), FittedPlane(normals[h], float(offsets[h]), distance))
+            )
+        finalists = sorted(finalists, key=lambda entry: -entry[0])[:FINALISTS]
+        best = np.abs(finalists[0][1].heights(scored)) < distance
+        needed = _trials(float(best.mean()), confidence)
+    if not finalists:
+        raise ValueError("no three points span a plane")
+    refined = [refine_plane(points, p, fixed_distance=fixed_distance) for _, p in finalists]
+    return max(refined, key=lambda p: float(msac_score(p.heights(points), distance)))
+
+
+def ransac_planes(
+    points: F64,
+    distance: float,
+    rng: np.random.Generator,
+    *,
+    count: int,
+    min_share: float,
+    confidence: float = 0.9999,
+    max_trials: int = 20_000,
+    fixed_distance: bool = False,
+) -> list[FittedPlane]:
+    """Find the largest planes one after the other, each found among the points that are left.
+
+    Points within twice the inlier distance of a plane are taken out with it, or the next plane
+    would be the edge of its noise.
+
+    Returns
+    -------
+    list of FittedPlane
+        At most ``count``, each refined on all points and holding at least ``min_share`` of them
+        and at least half of the points within three times its inlier distance (a plane that cuts
+        through a volume holds a third).
+    """
+    planes: list[FittedPlane] = []
+    left = points
+    for _ in range(count):
+        if len(left) < max(3, min_share * len(points)) or is_collinear(left):
+            break
+        plane = ransac_plane(
+            left,
+            distance,
+            rng,
+            confidence=confidence,
+            max_trials=max_trials,
+            fixed_distance=fixed_distance,
+        )
+        heights = np.abs(plane.heights(left))
+        inliers = np.count_nonzero(heights < plane.inlier_distance)
+        if inliers < min_share * len(points):
+            break
+        if inliers >= 0.5 * np.count_nonzero(heights < 3 * plane.inlier_distance):
+            planes.append(plane)
+        left = left[heights >= 2 * plane.inlier_distance]
+    return planes
