@@ -18,7 +18,7 @@ _STEPS_SHOWN = 40
 
 
 def build_blueprint(read: Reader, timeline: str = "stage") -> rrb.Blueprint:
-    """Lay out the views of a run that has at least finished ``ingest``, with eyes that see the whole cloud.
+    """Lay out the views of a run that has finished ``ingest``, with eyes that see the cloud.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def build_blueprint(read: Reader, timeline: str = "stage") -> rrb.Blueprint:
     tiles, models, upright = read(TILES)[0], read(MODELS), read(UPRIGHT)
     T_world_local = upright[0].T_world_local if len(upright) else np.eye(4)
     centre, extent = _bounds(tiles.low, tiles.high, T_world_local)
-    # half the distance between neighbours, if the points shown lay on a flat square
+    # the distance between neighbours, if the points lay on a flat square
     spacing = float(np.sqrt(extent[0] * extent[1] / max(int(tiles.counts.sum()), 1)))
     scene_eye, object_eye = _scene_eye(centre, extent), _object_eye(models)
     marks = ["+ /cluster/**", "+ /verify/**", "- /verify/fit/**"]
@@ -37,14 +37,20 @@ def build_blueprint(read: Reader, timeline: str = "stage") -> rrb.Blueprint:
             rrb.Vertical(
                 _view_3d(
                     "Scene, in the photos' colours",
-                    ["+ /ingest/cloud/**", "+ /ingest/cameras", "+ /ground/**", *marks],
+                    [
+                        "+ /ingest/cloud/**",
+                        "+ /ingest/cameras",
+                        "+ /ground/**",
+                        "+ /scan/hits/**",
+                        *marks,
+                    ],
                     WORLD,
                     scene_eye,
                     rr.Points3D.from_fields(radii=-1.0),
                 ),
                 _view_3d(
                     "Correlation with the model's spin image",
-                    ["+ /scan/correlation/**", "+ /scan/hits/**", *marks],
+                    ["+ /scan/correlation/**", *marks],
                     WORLD,
                     scene_eye,
                     rr.Points3D.from_fields(radii=-1.0),
@@ -54,10 +60,10 @@ def build_blueprint(read: Reader, timeline: str = "stage") -> rrb.Blueprint:
                 rrb.Horizontal(
                     _view_3d(
                         "Candidate",
-                        ["+ /ingest/cloud/**", "+ /verify/**"],
+                        ["+ /ingest/cloud/**", "+ /verify/fit/**"],
                         CANDIDATE,
                         object_eye,
-                        rr.Points3D.from_fields(radii=0.5 * spacing),
+                        rr.Points3D.from_fields(radii=0.6 * spacing),
                     ),
                     rrb.TextDocumentView(origin=NOTES, name="Notes"),
                 ),
@@ -128,15 +134,18 @@ def _residuals() -> rrb.Vertical:
     )
     return rrb.Vertical(
         rrb.TimeSeriesView(
-            origin="/verify/rms",
-            name="Residual of every start, metres (timeline: iteration)",
+            contents=["+ /verify/rms/**", "+ /verify/numbers"],
+            name="By iteration: residual of every start in metres. By candidate: scores",
             axis_x=rrb.TimeAxis(view_range=near),
             plot_legend=rrb.PlotLegend(visible=False),
         ),
         rrb.StateTimelineView(
-            origin="/verify/fate", name="Fate", time_view=rrb.TimeAxis(view_range=near)
+            origin="/verify/fate",
+            name="Fate",
+            time_view=rrb.TimeAxis(view_range=near),
+            titlebar=False,
         ),
-        row_shares=[3, 1],
+        row_shares=[2, 1],
         name="Residuals",
     )
 

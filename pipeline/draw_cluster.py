@@ -10,10 +10,11 @@ import rerun as rr
 
 from spinpipe.pipeline import palette
 from spinpipe.pipeline.draw_model import model_bounds
-from spinpipe.pipeline.drawing import WORLD, Reader, at_candidate, at_stage, note, put
+from spinpipe.pipeline.drawing import WORLD, Reader, at_candidate, at_stage, at_stages, note, put
 from spinpipe.schemas import CLUSTERS, MODELS
 from spinpipe.schemas.records import Cluster
 
+_LABELLED = 40
 _NOTED = 40
 
 
@@ -25,6 +26,8 @@ def draw_cluster(read: Reader, rec: rr.RecordingStream, preview_points: int) -> 
     pin = np.array([0, 0, 2 * tallest])
     positions = np.array([c.position for c in shown], np.float64).reshape(-1, 3)
     at_stage(rec, "cluster")
+    note(rec, _summary(clusters))
+    at_stages(rec, "cluster/candidates", "cluster", "cluster")
     put(
         rec,
         "cluster/candidates",
@@ -33,10 +36,10 @@ def draw_cluster(read: Reader, rec: rr.RecordingStream, preview_points: int) -> 
             colors=palette.WHITE,
             radii=-1.0,
             labels=[f"{c.id}: {c.correlation:.2f}" for c in shown],
+            show_labels=len(shown) <= _LABELLED,
         ),
         WORLD,
     )
-    note(rec, _summary(clusters))
     for cluster in shown:
         at_candidate(rec, cluster.id)
         put(

@@ -45,7 +45,9 @@ def order_fits(detections: Sequence[Detection], traces: Sequence[FitTrace]) -> l
 
 
 def draw_shapes(rec: rr.RecordingStream, models: Sequence[ObjectModel]) -> None:
-    """Log the models once; their poses and colours follow over time."""
+    """Log the models once, out of sight; their poses and colours follow over time."""
+    rec.reset_time()
+    rec.set_time("stage", sequence=1)
     for model in models:
         path = model_path("verify/fit", model.name)
         put(rec, path, model_shape(model), WORLD, static=True)

@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 
 from spinpipe.pipeline import palette
-from spinpipe.pipeline.drawing import LOCAL, WORLD, Reader, at_stage, note, put
+from spinpipe.pipeline.drawing import LOCAL, WORLD, Reader, at_stage, at_stages, note, put
 from spinpipe.schemas import PLANE, TILES, UPRIGHT
 from spinpipe.schemas.records import F64, Plane, TileIndex
 
@@ -31,6 +31,8 @@ def draw_ground(read: Reader, rec: rr.RecordingStream, preview_points: int) -> N
         ),
     )
     corners, centre, size = _square(plane, upright.T_world_local, tiles)
+    note(rec, _summary(plane))
+    at_stages(rec, "ground", "ground", "ground")
     put(
         rec,
         "ground/plane",
@@ -53,7 +55,6 @@ def draw_ground(read: Reader, rec: rr.RecordingStream, preview_points: int) -> N
         ),
         LOCAL,
     )
-    note(rec, _summary(plane))
 
 
 def _square(plane: Plane, T_world_local: F64, tiles: TileIndex) -> tuple[F64, F64, float]:

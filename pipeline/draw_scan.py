@@ -9,7 +9,7 @@ import rerun as rr
 
 from spinpipe.pipeline import palette
 from spinpipe.pipeline.draw_model import model_path
-from spinpipe.pipeline.drawing import WORLD, Reader, at_stage, note, put
+from spinpipe.pipeline.drawing import WORLD, Reader, at_stage, at_stages, note, put
 from spinpipe.pipeline.preview import preview_rows
 from spinpipe.schemas import HITS, SCORES, SPIN_IMAGES
 from spinpipe.schemas.records import Hits, ScoreTile, SpinImage
@@ -31,15 +31,15 @@ def draw_scan(read: Reader, rec: rr.RecordingStream, preview_points: int) -> Non
         put(rec, f"scan/correlation/{number:04d}", shape, WORLD)
         _count(tile, histogram)
     at_stage(rec, "scan")
-    hits = read(HITS)
-    for group in hits:
-        _draw_hits(rec, group, preview_points)
+    hits, images = read(HITS), read(SPIN_IMAGES)
     for model, bars in histogram.items():
         _draw_histogram(rec, model, bars)
-    images = read(SPIN_IMAGES)
     for image in images:
         _draw_spin_image(rec, image)
     note(rec, _summary(sum(counts), hits, images))
+    at_stages(rec, "scan/hits", "scan", "cluster")
+    for group in hits:
+        _draw_hits(rec, group, preview_points)
 
 
 def _count(tile: ScoreTile, histogram: dict[str, np.ndarray]) -> None:

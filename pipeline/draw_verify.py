@@ -15,6 +15,7 @@ from spinpipe.pipeline.drawing import WORLD, Reader, at_candidate, at_stage, not
 from spinpipe.schemas import DETECTIONS, MODELS, TRACES
 from spinpipe.schemas.records import F64, Detection, ObjectModel
 
+_LABELLED = 12
 _NOTED = 40
 
 
@@ -22,8 +23,8 @@ def draw_verify(read: Reader, rec: rr.RecordingStream, preview_points: int) -> N
     """Log all fates at once, then candidate by candidate and iteration by iteration."""
     detections = list(read(DETECTIONS))
     models = {model.name: model for model in read(MODELS)}
-    at_stage(rec, "verify")
     draw_shapes(rec, list(models.values()))
+    at_stage(rec, "verify")
     for fate in palette.FATES:
         group = [d for d in detections if d.fate == fate][:preview_points]
         _draw_boxes(rec, fate, group, models)
@@ -32,6 +33,7 @@ def draw_verify(read: Reader, rec: rr.RecordingStream, preview_points: int) -> N
         return
     draw_pose(rec, max(detections, key=lambda d: (d.fate == "accepted", d.score)), models)
     _draw_ledger(rec, detections)
+    _draw_numbers(rec, detections)
     fits = order_fits(detections, read(TRACES))
     draw_rms(rec, fits)
     _draw_fates(rec, fits)
@@ -63,7 +65,7 @@ def _draw_boxes(
             radii=-0.6 if rejected else -2.0,
             fill_mode="MajorWireframe",
             labels=[f"{d.cluster} {d.model} {d.score:.2f}" for d in detections],
-            show_labels=False if rejected else None,
+            show_labels=not rejected and len(detections) <= _LABELLED,
         ),
         WORLD,
     )
@@ -102,6 +104,28 @@ def _draw_fates(rec: rr.RecordingStream, fits: Sequence[Fit]) -> None:
             rr.TimeColumn("iteration", sequence=[fit.first_step for fit in fits]),
         ],
         columns=rr.StateChange.columns(state=[fit.detection.fate for fit in fits]),
+    )
+
+
+def _draw_numbers(rec: rr.RecordingStream, detections: Sequence[Detection]) -> None:
+    names = ("score", "correlation", "coverage_model", "coverage_scene")
+    rec.log(
+        "verify/numbers",
+        rr.SeriesPoints(
+            names=[name.replace("_", " of ") for name in names],
+            colors=palette.series(len(names)),
+            markers=["circle", "diamond", "up", "down"],
+            marker_sizes=[5.0, 3.0, 3.0, 3.0],
+        ),
+        static=True,
+    )
+    rows = np.array([[getattr(d, name) for name in names] for d in detections])
+    rec.send_columns(
+        "verify/numbers",
+        indexes=[rr.TimeColumn("candidate", sequence=[d.cluster for d in detections])],
+        columns=rr.Scalars.columns(scalars=rows.reshape(-1)).partition(
+            np.full(len(rows), len(names))
+        ),
     )
 
 

@@ -57,6 +57,17 @@ def at_stage(rec: rr.RecordingStream, name: str, tile: int = 0) -> None:
     rec.set_time("iteration", sequence=0)
 
 
+def at_stages(rec: rr.RecordingStream, path: str, first: str, last: str) -> None:
+    """Log what follows below ``path`` as an interim result: shown from one stage to another.
+
+    It is cleared after ``last`` and not on the other timelines, where it would hide the outcome.
+    """
+    rec.reset_time()
+    rec.set_time("stage", sequence=STAGE_NUMBER[last] + 1)
+    rec.log(path, rr.Clear(recursive=True))
+    rec.set_time("stage", sequence=STAGE_NUMBER[first])
+
+
 def at_candidate(rec: rr.RecordingStream, candidate: int, iteration: int | None = None) -> None:
     """Log what follows for one candidate, and from one step of the timeline ``iteration`` on."""
     rec.reset_time()

@@ -49,7 +49,7 @@ def open_recording(
     rec.send_recording_name(run_name)
     sinks: list[rr.FileSink | rr.GrpcSink] = [rr.FileSink(str(path))]
     if mode == "spawn":
-        rr.spawn(connect=False, executable_path=_viewer(), recording=rec)
+        rr.spawn(connect=False, executable_path=find_viewer(), recording=rec)
     if mode in ("spawn", "connect"):
         sinks.append(rr.GrpcSink(url) if url else rr.GrpcSink())
     rec.set_sinks(*sinks)
@@ -73,7 +73,7 @@ def close_recording(rec: rr.RecordingStream) -> None:
     rec.disconnect()
 
 
-def _viewer() -> str | None:
-    """Find the viewer that came with the SDK, though its environment may not be on the search path."""
+def find_viewer() -> str | None:
+    """Find the viewer that came with the SDK: its environment may not be on the search path."""
     beside = Path(sys.executable).with_name("rerun")
     return which("rerun") or (str(beside) if beside.exists() else None)
