@@ -13,6 +13,9 @@ from plyfile import PlyData, PlyElement
 from spinpipe.pipeline.atomic import write_atomically
 from spinpipe.stages.artificial import SEED, ArtificialScene, make_scene
 
+SCENE_POINTS = 250_000
+"""[Bovenkamp 2010, section 3.1]."""
+
 DEMO_CONFIG = """\
 # The paper's artificial scene [Bovenkamp 2010, section 3.1] with the paper's numbers: four cars of
 # model 1 are found, four of model 2 are not.
@@ -38,10 +41,12 @@ max_edge_m = 2.5
 """
 
 
-def write_example(folder: Path, noise_m: float = 0.0) -> ArtificialScene:
+def write_example(
+    folder: Path, noise_m: float = 0.0, points: int = SCENE_POINTS
+) -> ArtificialScene:
     """Write scene.ply, model_1.ply, model_2.ply and truth.csv: the same bytes every time."""
     folder.mkdir(parents=True, exist_ok=True)
-    scene = make_scene(noise_m=noise_m, rng=np.random.default_rng(SEED))
+    scene = make_scene(points, noise_m, rng=np.random.default_rng(SEED))
     _write(folder / "scene.ply", scene.xyz, scene.rgb)
     for name, model in scene.models.items():
         _write(folder / f"{name}.ply", model.cloud)
