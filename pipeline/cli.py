@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from enum import Enum
+from enum import Enum, StrEnum
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
@@ -27,6 +27,13 @@ class RerunMode(str, Enum):
     spawn = "spawn"
     connect = "connect"
     off = "off"
+
+
+class Frame(StrEnum):
+    """Coordinates of labels."""
+
+    scene = "scene"
+    world = "world"
 
 
 ConfigArgument = Annotated[Path, typer.Argument(metavar="CONFIG", help="The run's TOML file.")]
@@ -128,6 +135,38 @@ def record(
     from spinpipe.pipeline.commands import record_command
 
     record_command(folder, rerun.value)
+
+
+@app.command("eval")
+def evaluate(
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder.")],
+    truth: Annotated[
+        Path,
+        typer.Option(
+            metavar="CSV", help="Labels: x,y and optionally model,z,heading_deg,axis_deg,ignore."
+        ),
+    ],
+    radius: Annotated[float, typer.Option(min=0.0, help="Farthest match, metres.")] = 1.5,
+    by_model: Annotated[
+        bool | None,
+        typer.Option(
+            "--by-model/--any-model",
+            help="Whether models must agree; by default if the labels name one of the run's.",
+        ),
+    ] = None,
+    frame: Annotated[Frame, typer.Option(help="Frame of the labels.")] = Frame.scene,
+    json: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Where to write it (RUN/eval.json).")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="PNG", help="Draw the scene from above.")
+    ] = None,
+) -> None:
+    """Compare a run with labels: recall, precision, errors, every miss and every false one."""
+    from spinpipe.pipeline.evaluate import eval_command
+
+    rule = None if by_model is None else "name" if by_model else "any"
+    eval_command(folder, truth, radius, rule, frame.value, json, picture)
 
 
 def _print_version(value: bool) -> None:
