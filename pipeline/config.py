@@ -86,35 +86,42 @@ def load_config(path: Path, overrides: Iterable[str] = ()) -> RunConfig:
         In one line: file, section, key, what is wrong and what would be right.
     """
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+        raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file; 'spinpipe init' writes one") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: not valid TOML: {error}") from None
+    _require_sections(raw, path)
     for override in overrides:
         _override(raw, override)
     return _validate(raw, path)
 
 
-def _validate(raw: dict[str, Any], path: Path) -> RunConfig:
-    raw = dict(raw)
-    models = raw.pop("model", None)
+def _require_sections(raw: dict[str, Any], path: Path) -> None:
+    """The file holds known sections and a list of models; nothing is said of their keys."""
     for name, value in raw.items():
-        if name not in SECTIONS:
+        if name not in _SECTION_NAMES:
             raise ConfigError(f"{path.name}: no section [{name}]. {_nearest(name, _SECTION_NAMES)}")
-        if not isinstance(value, dict):
+        if name != "model" and not isinstance(value, dict):
             raise ConfigError(f"{path.name}: [{name}] must be a section, not a value")
     if "models" in raw.get("ingest", {}):
         raise ConfigError(f"{path.name}: [ingest] has no key 'models'. Write [[model]] sections")
+    models = raw.get("model")
     if models is None:
         raise ConfigError(f"{path.name}: no [[model]] section: say what to look for")
-    if not isinstance(models, list):
+    if not isinstance(models, list) or not all(
+        isinstance(m, dict) for m in cast(list[Any], models)
+    ):
         raise ConfigError(
             f"{path.name}: write [[model]] with double brackets: there can be several"
         )
-    raw["ingest"] = {**raw.get("ingest", {}), "models": models}
+
+
+def _validate(raw: dict[str, Any], path: Path) -> RunConfig:
+    raw = dict(raw)
+    raw["ingest"] = {**raw.get("ingest", {}), "models": raw.pop("model")}
     context = {"base": path.resolve().parent}
     sections: dict[str, Section] = {}
     for name, section in SECTIONS.items():

@@ -138,7 +138,7 @@ RECORDS: list[tuple[Topic[Any], st.SearchStrategy[Any]]] = [
 ]
 
 
-@pytest.mark.parametrize("topic, record", RECORDS, ids=lambda v: getattr(v, "name", ""))
+@pytest.mark.parametrize(("topic", "record"), RECORDS, ids=lambda v: getattr(v, "name", ""))
 @given(data=st.data())
 def test_a_record_comes_back_as_it_was(
     topic: Topic[Any], record: st.SearchStrategy[Any], data: st.DataObject
