@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -18,10 +18,10 @@ from spinpipe.stages.suppression import suppress
 class Clustering:
     """Groups the hits of each model into candidates."""
 
-    name: ClassVar = "cluster"
-    version: ClassVar = 1
-    inputs: ClassVar = (HITS, MODELS)
-    outputs: ClassVar = (CLUSTERS,)
+    name = "cluster"
+    version = 1
+    inputs = (HITS, MODELS)
+    outputs = (CLUSTERS,)
 
     class Config(Section):
         """How near hits of one instance are to each other."""

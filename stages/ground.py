@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +43,8 @@ WIDEST_DISTANCE = 0.02
 class Ground:
     """Estimate the ground plane and the rotation that turns the scene upright."""
 
-    name: ClassVar[str] = "ground"
-    version: ClassVar[int] = 1
+    name = "ground"
+    version = 1
     inputs = (CLOUD, TILES, CAMERAS)
     outputs = (PLANE, UPRIGHT)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -34,10 +33,10 @@ _LARGEST_CHUNK = 1 << 20
 class Ingest:
     """Read the scene twice: once to measure it, once to sort its points into tiles."""
 
-    name: ClassVar = "ingest"
-    version: ClassVar = 1
-    inputs: ClassVar = ()
-    outputs: ClassVar = (CLOUD, TILES, SCENE, MODELS, CAMERAS)
+    name = "ingest"
+    version = 1
+    inputs = ()
+    outputs = (CLOUD, TILES, SCENE, MODELS, CAMERAS)
 
     class Config(Section):
         """``[ingest]``, and the ``[[model]]`` sections."""

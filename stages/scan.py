@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -32,10 +32,10 @@ from spinpipe.stages.voxels import voxel_representatives
 class Scan:
     """Correlates the scene's spin images with those of the models."""
 
-    name: ClassVar = "scan"
-    version: ClassVar = 1
-    inputs: ClassVar = (CLOUD, TILES, MODELS, UPRIGHT)
-    outputs: ClassVar = (SCORES, SPIN_IMAGES, HITS)
+    name = "scan"
+    version = 1
+    inputs = (CLOUD, TILES, MODELS, UPRIGHT)
+    outputs = (SCORES, SPIN_IMAGES, HITS)
 
     class Config(Section):
         """What a spin image covers and when it counts as a hit."""

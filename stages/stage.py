@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Protocol, TypeVar
+from typing import Annotated, Any, Protocol, TypeVar
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationInfo
@@ -116,15 +116,35 @@ class Context(Protocol[C]):
 
 
 class Stage(Protocol):
-    """One step of the pipeline: a name, its topics, its section and ``run``."""
+    """One step of the pipeline: a name, its topics, its section and ``run``.
 
-    name: ClassVar[str]
-    """Config section, stem of the MCAP file and root of the Rerun entities."""
-    version: ClassVar[int]
-    """Raised whenever the same input and config would give another output."""
-    inputs: ClassVar[tuple[Topic[Any], ...]]
-    outputs: ClassVar[tuple[Topic[Any], ...]]
-    Config: ClassVar[type[Section]]
+    The members are plain class attributes: ``name = "scan"``, ``class Config(Section)``.
+    """
+
+    @property
+    def name(self) -> str:
+        """Config section, stem of the MCAP file and root of the Rerun entities."""
+        ...
+
+    @property
+    def version(self) -> int:
+        """Raised whenever the same input and config would give another output."""
+        ...
+
+    @property
+    def inputs(self) -> tuple[Topic[Any], ...]:
+        """Topics of earlier stages that this one reads."""
+        ...
+
+    @property
+    def outputs(self) -> tuple[Topic[Any], ...]:
+        """Topics that this stage writes."""
+        ...
+
+    @property
+    def Config(self) -> type[Section]:
+        """The stage's section of the config."""
+        ...
 
     def run(self, ctx: Context[Any]) -> None:
         """Read the inputs, compute, write the outputs; raise ``StageError`` on bad input."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -47,10 +47,10 @@ MIN_POINTS = 10
 class Verify:
     """Fits the model to each candidate's surroundings and decides."""
 
-    name: ClassVar = "verify"
-    version: ClassVar = 1
-    inputs: ClassVar = (CLOUD, TILES, SCENE, MODELS, UPRIGHT, SPIN_IMAGES, CLUSTERS)
-    outputs: ClassVar = (TRACES, DETECTIONS, INSTANCES)
+    name = "verify"
+    version = 1
+    inputs = (CLOUD, TILES, SCENE, MODELS, UPRIGHT, SPIN_IMAGES, CLUSTERS)
+    outputs = (TRACES, DETECTIONS, INSTANCES)
 
     class Config(Section):
         """How candidates are fitted and judged."""
