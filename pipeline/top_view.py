@@ -44,13 +44,13 @@ def top_view(
     Parameters
     ----------
     tiles : gives (xyz (N, 3) world, rgb (N, 3)) of each piece of the cloud, anew at every call.
-    low, high : (2,) corners of what is shown, metres.
+    low, high : (2,) corners of what is shown at most, metres; cut down to where points are.
     coloured : whether to use the points' own colours.
     width : of the longer side, pixels.
     """
+    points, low, high = _occupied(tiles(), low, high)
     size = np.maximum(high - low, 1e-6)
     pixel_m = float(size.max()) / width
-    points = sum(int(_inside(xyz, low, high).sum()) for xyz, _ in tiles())
     # Sparse clouds are drawn with larger dots: twice the spacing of the points leaves few gaps
     spacing_m = float(np.sqrt(size.prod() / max(points, 1)))
     dot = max(1, min(width // 100, round(1.5 * spacing_m / pixel_m)))
@@ -71,13 +71,39 @@ def top_view(
     if not coloured:
         seen = np.isfinite(top)
         colour[seen] = _by_height(top[seen])
-    picture = colour.reshape(dots[1], dots[0], 3)[::-1]
+    picture = _without_gaps(top.reshape(dots[::-1]), colour.reshape(dots[1], dots[0], 3))[::-1]
     large = np.repeat(np.repeat(picture, dot, axis=0), dot, axis=1)
     return TopView(large, np.asarray(low, np.float64), pixel_m)
 
 
 def _inside(xyz: F32, low: F64, high: F64) -> NDArray[np.bool_]:
     return ((xyz[:, :2] >= low) & (xyz[:, :2] <= high)).all(axis=1)
+
+
+def _occupied(tiles: Iterable[tuple[F32, U8]], low: F64, high: F64) -> tuple[int, F64, F64]:
+    """Number and bounds of the points that are shown."""
+    count, least, most = 0, np.full(2, np.inf), np.full(2, -np.inf)
+    for everything, _ in tiles:
+        xy = everything[_inside(everything, low, high), :2]
+        if len(xy):
+            count += len(xy)
+            least, most = np.minimum(least, xy.min(axis=0)), np.maximum(most, xy.max(axis=0))
+    return (count, least, most) if count else (0, low, high)
+
+
+def _without_gaps(top: F32, colour: U8) -> U8:
+    """Fill single empty dots with the highest of their neighbours."""
+    height, wide = top.shape
+    padded = np.pad(top, 1, constant_values=-np.inf)
+    colours = np.pad(colour, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    filled, best = colour.copy(), np.full_like(top, -np.inf)
+    empty = ~np.isfinite(top)
+    for row, column in np.ndindex(3, 3):
+        around = padded[row : row + height, column : column + wide]
+        better = empty & (around > best)
+        best[better] = around[better]
+        filled[better] = colours[row : row + height, column : column + wide][better]
+    return filled
 
 
 def _by_height(z: F32) -> U8:
