@@ -30,9 +30,10 @@ class RunReader:
         self.folder = folder
 
     def __call__(self, topic: Topic[T]) -> Sequence[T]:
-        """Records of a topic, decoded as they are asked for."""
+        """Records of a topic, decoded as they are asked for; none if its stage is not complete."""
         producer = next(stage for stage in STAGES if topic in stage.outputs)
-        return Messages(self.folder.mcap(producer.name), topic)
+        path = self.folder.mcap(producer.name)
+        return Messages(path, topic) if path.exists() else ()
 
 
 class RunContext(Generic[C]):
