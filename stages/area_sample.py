@@ -39,6 +39,15 @@ class AreaSample:
         """Return the sample that voxels of twice the edge would have given."""
         return _thin(self.points, self.counts, 2 * self.voxel)
 
+    def fitted(self, limit: int) -> AreaSample:
+        """Return the finest sample of at most ``limit`` points."""
+        sample = self
+        while len(sample.points) > limit:
+            # Four doublings at once wherever even they leave too many.
+            leap = _thin(sample.points, sample.counts, 16 * sample.voxel)
+            sample = leap if len(leap.points) > limit else sample.coarser()
+        return sample
+
 
 def _mix(words: U64) -> U64:
     """Finaliser of splitmix64 (Steele, Lea, Flood 2014): a bijection that spreads every bit."""
@@ -72,7 +81,7 @@ def _thin(points: F32, counts: I64, voxel: float) -> AreaSample:
 
 
 def sample_by_area(
-    tiles: Iterable[F32], extent: float, limit: int, *, occupancy: float = 2.0, least: int = 2000
+    tiles: Iterable[F32], extent: float, limit: int, *, shared: float = 0.5, least: int = 2000
 ) -> AreaSample:
     """Sample a cloud uniformly by area with at most ``limit`` points.
 
@@ -84,9 +93,9 @@ def sample_by_area(
         Largest edge of the cloud's bounding box.
     limit
         Most points in the sample.
-    occupancy
-        The voxels grow until they hold this many points on average, so that the sample follows
-        the surface and not the density of the points ...
+    shared
+        The voxels grow until this share of them holds more than one point, so that the sample
+        follows the surface and not the density of the points ...
     least
         ... but not when fewer than this many voxels would be left.
 
@@ -104,18 +113,14 @@ def sample_by_area(
     for tile in tiles:
         points = np.ascontiguousarray(tile, np.float32)
         piece = _thin(points, np.ones(len(points), np.int64), sample.voxel)
-        while len(piece.points) > limit:
-            piece = piece.coarser()
-        while sample.voxel < piece.voxel:
-            sample = sample.coarser()
-        sample = _thin(
+        piece = piece.fitted(limit)
+        both = _thin(
             np.concatenate([sample.points, piece.points]),
             np.concatenate([sample.counts, piece.counts]),
-            sample.voxel,
+            max(sample.voxel, piece.voxel),
         )
-        while len(sample.points) > limit:
-            sample = sample.coarser()
-    while len(sample.points) > least and sample.counts.mean() < occupancy:
+        sample = both.fitted(limit)
+    while len(sample.points) > least and np.mean(sample.counts > 1) < shared:
         coarser = sample.coarser()
         if len(coarser.points) < least:
             break

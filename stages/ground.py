@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from spinpipe.schemas import CAMERAS, CLOUD, PLANE, TILES, UPRIGHT
 from spinpipe.schemas.records import Evidence, Plane, Upright
 from spinpipe.stages.area_sample import AreaSample, sample_by_area
-from spinpipe.stages.ground_evidence import solid_surface
-from spinpipe.stages.level import ground_level
+from spinpipe.stages.ground_evidence import SLOPE_DEG, solid_surface
+from spinpipe.stages.level import lowest_level
 from spinpipe.stages.plane import (
     SIGMAS,
     FittedPlane,
@@ -86,7 +86,7 @@ class Ground:
         if ctx.config.up == "auto":
             plane = _estimate(ctx, points, local, sample.voxel)
         else:
-            plane = _stated(np.array(ctx.config.up), ctx.config, points, local, sample.voxel)
+            plane = _stated(ctx, points, local, sample.voxel)
         up = np.array(plane.normal)
         ctx.write(PLANE, plane)
         ctx.write(UPRIGHT, Upright(up_quaternion(up), (0.0, 0.0, plane.offset)))
@@ -121,7 +121,8 @@ def _sample(ctx: Context[Ground.Config]) -> AreaSample:
 def _estimate(ctx: Context[Ground.Config], points: F64, local: LocalPlanes, voxel: float) -> Plane:
     """Choose the plane and the side that the evidence speaks for."""
     config = ctx.config
-    planes = find_planes(config, points, inlier_distance(config, local, voxel), ctx.rng)
+    distance = inlier_distance(config, local, voxel)
+    planes = find_planes(config, points, local.normals, distance, ctx.rng)
     if not planes:
         raise StageError(
             f"ground: no plane holds {config.min_inlier_share:.0%} of the surface; set"
@@ -145,6 +146,8 @@ def _estimate(ctx: Context[Ground.Config], points: F64, local: LocalPlanes, voxe
     plane = refine_plane(
         surface.points[best.terrain.members],
         best.terrain.plane,
+        window=np.inf,
+        widest=np.inf,
         fixed_distance=config.inlier_distance_m is not None,
     )
     return to_record(
@@ -155,12 +158,21 @@ def _estimate(ctx: Context[Ground.Config], points: F64, local: LocalPlanes, voxe
     )
 
 
-def _stated(up: F64, config: Ground.Config, points: F64, local: LocalPlanes, voxel: float) -> Plane:
+def _stated(ctx: Context[Ground.Config], points: F64, local: LocalPlanes, voxel: float) -> Plane:
     """Keep the stated direction and find the height of the ground along it."""
-    normal = up / np.linalg.norm(up)
-    distance = inlier_distance(config, local, voxel)
-    level = ground_level(points, normal, voxel, distance)
-    return to_record(FittedPlane(normal, -level, distance), points, "config", {})
+    up = np.array(ctx.config.up, np.float64)
+    up /= np.linalg.norm(up)
+    distance = inlier_distance(ctx.config, local, voxel)
+    planes = find_planes(ctx.config, points, local.normals, distance, ctx.rng)
+    lying = [plane for plane in planes if abs(plane.normal @ up) > np.cos(np.radians(SLOPE_DEG))]
+    if lying:
+        surface = solid_surface(points, local.normals, voxel)
+        best = next(h for h in rank(surface, lying, None) if h.up @ up > 0)
+        level = float(np.median(surface.points[best.terrain.members] @ up))
+        distance = best.terrain.plane.inlier_distance
+    else:
+        level = lowest_level(points, up, voxel, distance)
+    return to_record(FittedPlane(up, -level, distance), points, "config", {})
 
 
 def inlier_distance(config: Ground.Config, local: LocalPlanes, voxel: float) -> float:
@@ -175,7 +187,7 @@ def inlier_distance(config: Ground.Config, local: LocalPlanes, voxel: float) -> 
 
 
 def find_planes(
-    config: Ground.Config, points: F64, distance: float, rng: np.random.Generator
+    config: Ground.Config, points: F64, normals: F64, distance: float, rng: np.random.Generator
 ) -> list[FittedPlane]:
     """Find the largest planes, with an inlier distance as small as the scene allows.
 
@@ -190,6 +202,7 @@ def find_planes(
     while True:
         planes = ransac_planes(
             centred,
+            normals,
             distance,
             rng,
             count=PLANES,

@@ -30,6 +30,8 @@ FEW = 10
 FEW_SHARE = 0.002
 SPECK = 5
 """Groups of fewer points of the sample are noise, not scene."""
+BAND = 4 / 3
+"""Height in inlier distances that noise does not reach: four standard deviations."""
 PART = 0.1
 """A group belongs to a plane if the plane holds this share of it, or it of the plane."""
 ABOUT = 8
@@ -135,7 +137,7 @@ def grow_terrain(surface: Surface, plane: FittedPlane) -> Terrain:
     _, below = cKDTree(flat[members]).query(flat, k=[*range(1, about + 1)])
     gap, _ = cKDTree(surface.points[members]).query(surface.points)
     heights = from_plane - np.median(from_plane[members][below], axis=1)
-    band = max(2 * plane.inlier_distance, surface.voxel)
+    band = max(BAND * plane.inlier_distance, surface.voxel)
     return Terrain(
         plane,
         members,
@@ -179,7 +181,9 @@ def scene_evidence(surface: Surface, terrains: list[Terrain]) -> list[dict[str, 
     clutter = np.ones(len(surface.points), bool)
     for terrain in terrains:
         clutter &= ~terrain.members
-        clutter &= np.abs(terrain.plane.heights(surface.points)) > 2 * terrain.plane.inlier_distance
+        clutter &= (
+            np.abs(terrain.plane.heights(surface.points)) > BAND * terrain.plane.inlier_distance
+        )
     labels = surface.groups(clutter)
     result: list[dict[str, float]] = []
     for terrain in terrains:

@@ -13,7 +13,7 @@ NOTABLE = 0.25
 """A level is ground if it holds this share of the columns that the most common level holds."""
 
 
-def ground_level(points: F64, up: F64, voxel: float, distance: float) -> float:
+def lowest_level(points: F64, up: F64, voxel: float, distance: float) -> float:
     """Height of the ground: the lowest level on which many columns of the scene end.
 
     Each vertical column gives its second lowest sample point, so that single points below the

@@ -17,11 +17,13 @@ F64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 BATCH = 256
-SCORED = 4096
-"""Points that score a hypothesis; the finalists are refined on all of them."""
+SCORED = 2048
+"""Points that score a hypothesis; finalists are refined on eight times as many, the best on all."""
 FINALISTS = 8
 GAUSSIAN_MAD = 1.4826
 """Standard deviation of a normal distribution in units of its median absolute deviation."""
+PARALLEL = np.cos(np.radians(40.0))
+"""Least cosine of the angle between parallel normals; 0.23 of random normals are parallel."""
 SIGMAS = 3.0
 """Inlier distance in standard deviations of the noise."""
 
@@ -104,13 +106,18 @@ def msac_score(heights: F64, distance: float) -> F64:
 
 
 def refine_plane(
-    points: F64, plane: FittedPlane, *, fixed_distance: bool = False, rounds: int = 50
+    points: F64,
+    plane: FittedPlane,
+    *,
+    window: float = 2.0,
+    widest: float = 2.0,
+    fixed_distance: bool = False,
+    rounds: int = 50,
 ) -> FittedPlane:
     """Least squares on the inliers to convergence, with Tukey's weights and a robust scale.
 
-    The inlier distance follows the spread that the inliers show (median absolute deviation
-    within twice the distance), up to four times the one it started from, so that a surface that
-    is rougher at large than it is locally still counts as one plane.
+    The inlier distance follows the spread of the residuals within ``window`` (median absolute
+    deviation), so that a surface that is rougher at large than locally still counts as one plane.
 
     Parameters
     ----------
@@ -118,6 +125,10 @@ def refine_plane(
         (N, 3), all of the sample.
     plane
         First guess.
+    window
+        In inlier distances; infinite where all points are known to be one surface.
+    widest
+        Largest inlier distance, relative to the one of the first guess.
     fixed_distance
         Keep the inlier distance as given.
     rounds
@@ -128,10 +139,10 @@ def refine_plane(
         heights = plane.heights(points)
         distance = plane.inlier_distance
         if not fixed_distance:
-            near = np.abs(heights[np.abs(heights) < 2 * distance])
+            near = np.abs(heights[np.abs(heights) < window * distance])
             if len(near) >= 3:
                 spread = SIGMAS * GAUSSIAN_MAD * float(np.median(near))
-                distance = float(np.clip(spread, first, 4 * first))
+                distance = float(np.clip(spread, first, widest * first))
         weights = np.maximum(1 - (heights / distance) ** 2, 0) ** 2
         if np.count_nonzero(weights) < 3:
             return plane
@@ -197,12 +208,15 @@ def ransac_plane(
         needed = _trials(float(best.mean()), confidence)
     if not finalists:
         raise ValueError("no three points span a plane")
-    refined = [refine_plane(points, p, fixed_distance=fixed_distance) for _, p in finalists]
-    return max(refined, key=lambda p: float(msac_score(p.heights(points), distance)))
+    judges = points[: 8 * SCORED]
+    refined = [refine_plane(judges, p, fixed_distance=fixed_distance) for _, p in finalists]
+    best = max(refined, key=lambda p: float(msac_score(p.heights(judges), distance)))
+    return refine_plane(points, best, fixed_distance=fixed_distance)
 
 
 def ransac_planes(
     points: F64,
+    normals: F64,
     distance: float,
     rng: np.random.Generator,
     *,
@@ -217,15 +231,32 @@ def ransac_planes(
     Points within twice the inlier distance of a plane are taken out with it, or the next plane
     would be the edge of its noise.
 
+    Parameters
+    ----------
+    points
+        (N, 3), in random order.
+    normals
+        (N, 3) unit normals of the surface at the points, of either sign.
+    distance
+        Inlier distance.
+    rng
+        Draws the triples.
+    count
+        Most planes.
+    min_share
+        Least share of the points that a plane must hold.
+    confidence, max_trials, fixed_distance
+        As for ``ransac_plane``.
+
     Returns
     -------
     list of FittedPlane
-        At most ``count``, each refined on all points and holding at least ``min_share`` of them
-        and at least half of the points within three times its inlier distance (a plane that cuts
-        through a volume holds a third).
+        At most ``count``, each refined and holding at least ``min_share`` of the points, half of
+        which at least lie on surfaces parallel to it: a plane that merely cuts through many
+        surfaces or a volume is none.
     """
     planes: list[FittedPlane] = []
-    left = points
+    left, directions = points, normals
     for _ in range(count):
         if len(left) < max(3, min_share * len(points)) or is_collinear(left):
             break
@@ -238,10 +269,11 @@ def ransac_planes(
             fixed_distance=fixed_distance,
         )
         heights = np.abs(plane.heights(left))
-        inliers = np.count_nonzero(heights < plane.inlier_distance)
-        if inliers < min_share * len(points):
+        if np.count_nonzero(heights < plane.inlier_distance) < min_share * len(points):
             break
-        if inliers >= 0.5 * np.count_nonzero(heights < 3 * plane.inlier_distance):
+        inliers = heights < plane.inlier_distance
+        if np.mean(np.abs(directions[inliers] @ plane.normal) > PARALLEL) >= 0.5:
             planes.append(plane)
-        left = left[heights >= 2 * plane.inlier_distance]
+        rest = heights >= 2 * plane.inlier_distance
+        left, directions = left[rest], directions[rest]
     return planes
