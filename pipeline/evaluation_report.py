@@ -104,7 +104,7 @@ def _missed(e: Evaluation) -> Iterator[Table | Text]:
         truth = e.truths[loss.truth]
         table.add_row(
             str(truth.row),
-            *(f"{v:.1f}" for v in truth.position[:2]),
+            *(f"{v:.1f}" for v in truth.given),
             loss.stage,
             "" if loss.candidate is None else str(loss.candidate),
             _number(loss.score, ".2f", ""),
@@ -124,7 +124,7 @@ def _false(e: Evaluation) -> Iterator[Table | Text]:
         d = e.detections[intruder.detection]
         table.add_row(
             str(d.id),
-            *(f"{v:.1f}" for v in d.position_world[:2]),
+            *(f"{v:.1f}" for v in d.position_scene[:2]),
             f"{d.score:.2f}",
             intruder.kind,
             intruder.detail,
@@ -151,7 +151,7 @@ def _number(value: float | None, form: str, none: str = "-") -> str:
 
 
 def evaluation_document(e: Evaluation) -> dict[str, Any]:
-    """Content of eval.json; positions are in the world frame."""
+    """Content of eval.json; x and y of labels are as their file has them."""
     return {
         "schema": 1,
         "run": e.run,
@@ -215,7 +215,8 @@ def _loss_entry(e: Evaluation, loss: Loss) -> dict[str, Any]:
     return {
         "line": truth.row,
         "what": describe(truth),
-        "position_world": [None if v != v else v for v in truth.position],
+        "x": truth.given[0],
+        "y": truth.given[1],
         "stage": loss.stage,
         "why": loss.detail,
         "detection": loss.candidate,
@@ -228,7 +229,7 @@ def _intruder_entry(e: Evaluation, intruder: Intruder) -> dict[str, Any]:
     return {
         "detection": d.id,
         "model": d.model,
-        "position_world": list(d.position_world),
+        "position_scene": list(d.position_scene),
         "kind": intruder.kind,
         "where": intruder.detail,
         "admitted_by": d.reason,

@@ -25,6 +25,8 @@ class TruthObject:
 
     row: int
     """Line of the file."""
+    given: tuple[float, float]
+    """x and y as the file has them."""
     model: str
     """Empty if the file does not say."""
     position: tuple[float, float, float]
@@ -102,6 +104,7 @@ def _object(
     axis = heading if axis is None else _turned(axis, rotation, where)
     return TruthObject(
         row=line,
+        given=(x, y),
         model=(row.get("model") or "").strip(),
         position=_position(x, y, z, T, where),
         heading_deg=heading,
