@@ -168,11 +168,13 @@ def _direction(axis: Axis) -> F64:
 def _sample_from_above(
     vertices: F64, faces: I64, count: int, rng: np.random.Generator
 ) -> tuple[F64, F64]:
-    """Like ``sample_surface``, but only points that lie open to the sky."""
+    """Like ``sample_surface``, but only points that lie open to the sky, on the side that shows."""
     points, normals = np.empty((0, 3)), np.empty((0, 3))
     while len(points) < count:
         batch, batch_normals = sample_surface(vertices, faces, 2 * count, rng)
         seen = seen_from_above(batch, vertices, faces)
         points = np.concatenate([points, batch[seen]])
         normals = np.concatenate([normals, batch_normals[seen]])
+    # Whichever way a face is wound: from above one sees the side that is turned up
+    normals[normals[:, 2] < 0] *= -1
     return points[:count], normals[:count]

@@ -135,6 +135,14 @@ def test_seen_from_above_agrees_with_a_ray_for_each_point() -> None:
     np.testing.assert_array_equal(seen_from_above(points, vertices, faces), ~hidden)
 
 
+def test_normals_seen_from_above_point_up_whatever_the_winding(tmp_path: Path) -> None:
+    text = "v 0 0 0\nv 2 0 0\nv 0 2 0\nf 1 3 2\n"
+    (tmp_path / "triangle.obj").write_text(text)
+    options: dict[str, Any] = {"path": tmp_path / "triangle.obj"}
+    np.testing.assert_array_equal(load(**options).normals[:, 2], -1)
+    np.testing.assert_array_equal(load(**options, visible_from="above").normals[:, 2], 1)
+
+
 def test_an_upright_wall_hides_nothing() -> None:
     vertices = np.array([(0, 0, 0), (2, 0, 0), (2, 0, 1), (0, 0, 1)], float)
     faces = np.array([(0, 1, 2), (0, 2, 3)])
