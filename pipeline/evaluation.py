@@ -114,7 +114,7 @@ def score_detections(
     pairs = [(wanted[r], c) for r, c in zip(rows, columns, strict=True) if distance[r, c] < np.inf]
     matches = tuple(_match(truths, detections, t, chosen[c]) for t, c in pairs)
     taken = {m.detection for m in matches}
-    ignored = np.isfinite(near[[i for i, t in enumerate(truths) if t.ignore]]).any(axis=0)
+    ignored = np.any(np.isfinite(near[[i for i, t in enumerate(truths) if t.ignore]]), axis=0)
     left = [(d, bool(ignored[c])) for c, d in enumerate(chosen) if d not in taken]
     found = {m.truth for m in matches}
     return Score(

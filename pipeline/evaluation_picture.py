@@ -68,7 +68,8 @@ class _Sheet:
         self._draw = ImageDraw.Draw(image)
         self._view = view
         self._image = image
-        self._font = ImageFont.load_default(max(12, image.width // 80))
+        self._text_px = max(12, image.width // 80)
+        self._font = ImageFont.load_default(self._text_px)
 
     def draw_evaluation(self, e: Evaluation) -> None:
         score = e.accepted
@@ -121,13 +122,13 @@ class _Sheet:
         self._draw.line([(c, r) for c, r in self._view.place(xy).tolist()], fill=colour, width=3)
 
     def _legend(self, found: int, missed: int, false: int) -> None:
-        x = y = self._font.size // 2
+        x = y = self._text_px // 2
         for (colour, name), count in zip(LEGEND, (found, missed, false, None), strict=True):
             text = name if count is None else f"{count} {name}"
             box = self._draw.textbbox((x, y), text, self._font)
             self._draw.rectangle((box[0] - 4, box[1] - 4, box[2] + 4, box[3] + 4), (0, 0, 0))
             self._draw.text((x, y), text, colour, self._font)
-            x = int(box[2]) + self._font.size
+            x = int(box[2]) + self._text_px
         self._scale_bar()
 
     def _scale_bar(self) -> None:
@@ -135,9 +136,9 @@ class _Sheet:
         about_m = self._image.width * self._view.pixel_m / 10
         length_m = 10.0 ** np.floor(np.log10(about_m))
         length_m *= max(f for f in (1, 2, 5) if f * length_m <= about_m)
-        left, bottom = self._font.size, self._image.height - self._font.size
+        left, bottom = self._text_px, self._image.height - self._text_px
         right = left + length_m / self._view.pixel_m
         self._draw.line((left, bottom, right, bottom), fill=(255, 255, 255), width=4)
         self._draw.text(
-            (left, bottom - 1.5 * self._font.size), f"{length_m:g} m", (255, 255, 255), self._font
+            (left, bottom - 1.5 * self._text_px), f"{length_m:g} m", (255, 255, 255), self._font
         )

@@ -142,7 +142,7 @@ class _Trail:
         for near in (self._ended, self._began):
             places = np.flatnonzero(near[row] & self._sought[row])
             if len(places):
-                scores = [self._detections[i].score for i in places]
+                scores = [self._detections[i].score for i in places.tolist()]
                 return int(places[int(np.argmax(scores))])
         return None
 

@@ -77,7 +77,7 @@ def top_view(
 
 
 def _inside(xyz: F32, low: F64, high: F64) -> NDArray[np.bool_]:
-    return ((xyz[:, :2] >= low) & (xyz[:, :2] <= high)).all(axis=1)
+    return np.all((xyz[:, :2] >= low) & (xyz[:, :2] <= high), axis=1)
 
 
 def _occupied(tiles: Iterable[tuple[F32, U8]], low: F64, high: F64) -> tuple[int, F64, F64]:
