@@ -114,7 +114,7 @@ def _view_3d(
 
 
 def _spin_images(models: Sequence[str]) -> rrb.Tabs:
-    pairs = []
+    pairs: list[rrb.Horizontal] = []
     for model in models:
         path = model_path("/scan/spin_image", model)
         pairs.append(
@@ -129,8 +129,8 @@ def _spin_images(models: Sequence[str]) -> rrb.Tabs:
 
 def _residuals() -> rrb.Vertical:
     near = rr.TimeRange(
-        start=rr.TimeRangeBoundary.cursor_relative(-_STEPS_SHOWN),
-        end=rr.TimeRangeBoundary.cursor_relative(_STEPS_SHOWN),
+        start=rr.TimeRangeBoundary.cursor_relative(seq=-_STEPS_SHOWN),
+        end=rr.TimeRangeBoundary.cursor_relative(seq=_STEPS_SHOWN),
     )
     return rrb.Vertical(
         rrb.TimeSeriesView(

@@ -10,7 +10,16 @@ import rerun as rr
 
 from spinpipe.pipeline import palette
 from spinpipe.pipeline.draw_model import model_bounds
-from spinpipe.pipeline.drawing import WORLD, Reader, at_candidate, at_stage, at_stages, note, put
+from spinpipe.pipeline.drawing import (
+    WORLD,
+    Reader,
+    at_candidate,
+    at_stage,
+    at_stages,
+    note,
+    place,
+    put,
+)
 from spinpipe.schemas import CLUSTERS, MODELS
 from spinpipe.schemas.records import Cluster
 
@@ -32,7 +41,9 @@ def draw_cluster(read: Reader, rec: rr.RecordingStream, preview_points: int) -> 
         rec,
         "cluster/candidates",
         rr.LineStrips3D(
-            np.stack([positions * (1, 1, 0), positions * (1, 1, 0) + pin], axis=1),
+            np.stack([positions * (1, 1, 0), positions * (1, 1, 0) + pin], axis=1).astype(
+                np.float32
+            ),
             colors=palette.WHITE,
             radii=-1.0,
             labels=[f"{c.id}: {c.correlation:.2f}" for c in shown],
@@ -40,18 +51,13 @@ def draw_cluster(read: Reader, rec: rr.RecordingStream, preview_points: int) -> 
         ),
         WORLD,
     )
+    place(rec, "cluster/candidate", WORLD)
     for cluster in shown:
         at_candidate(rec, cluster.id)
-        put(
-            rec,
+        label = f"candidate {cluster.id}: {cluster.model}"
+        rec.log(
             "cluster/candidate",
-            rr.Points3D(
-                [cluster.position],
-                colors=palette.MARK,
-                radii=-6.0,
-                labels=f"candidate {cluster.id}: {cluster.model}",
-            ),
-            WORLD,
+            rr.Points3D([cluster.position], colors=palette.MARK, radii=-6.0, labels=label),
         )
 
 

@@ -12,7 +12,7 @@ from spinpipe.pipeline.draw_model import model_bounds, model_path, model_points,
 from spinpipe.pipeline.drawing import CANDIDATE, LOCAL, WORLD, Reader, at_stage, note, put
 from spinpipe.pipeline.preview import preview_rows
 from spinpipe.schemas import CAMERAS, CLOUD, MODELS, SCENE, TILES
-from spinpipe.schemas.records import F64, Cameras, ObjectModel, SceneFrame, TileIndex
+from spinpipe.schemas.records import F32, Cameras, ObjectModel, SceneFrame, TileIndex
 
 
 def draw_ingest(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
@@ -69,7 +69,7 @@ def _draw_cameras(rec: rr.RecordingStream, cameras: Cameras, tiles: TileIndex) -
     put(rec, "ingest/cameras", frusta, LOCAL, static=True)
 
 
-def _frusta(cameras: Cameras, size: float) -> F64:
+def _frusta(cameras: Cameras, size: float) -> F32:
     """One line (C, L, 3) a camera: a pyramid that opens to where it looks, up side marked."""
     a, b = 0.75 * size, 0.5 * size
     tip, mark = (0, 0, 0), (0, -1.6 * b, size)
@@ -77,7 +77,7 @@ def _frusta(cameras: Cameras, size: float) -> F64:
     line = np.array([tip, p, q, tip, r, s, tip, s, p, mark, q, r], np.float64)
     u, w = cameras.quaternions_xyzw[:, None, :3], cameras.quaternions_xyzw[:, None, 3:]
     turned = line + 2 * np.cross(u, np.cross(u, line) + w * line)
-    return turned + cameras.positions[:, None, :]
+    return (turned + cameras.positions[:, None, :]).astype(np.float32)
 
 
 def _summary(

@@ -62,7 +62,7 @@ def _draw_boxes(
             half_sizes=sizes / 2,
             quaternions=np.stack([zero, zero, np.sin(heading / 2), np.cos(heading / 2)], axis=-1),
             colors=palette.FATES[fate],
-            radii=-0.6 if rejected else -2.0,
+            radii=-0.5 if rejected else -1.2,
             fill_mode="MajorWireframe",
             labels=[f"{d.cluster} {d.model} {d.score:.2f}" for d in detections],
             show_labels=not rejected and len(detections) <= _LABELLED,
@@ -79,7 +79,7 @@ def _draw_boxes(
             origins=base + sizes * (0, 0, 1),
             vectors=forward * sizes[:, :1] * 0.7,
             colors=palette.FATES[fate],
-            radii=-2.0,
+            radii=-1.2,
         ),
         WORLD,
     )
@@ -135,7 +135,7 @@ def _draw_ledger(rec: rr.RecordingStream, detections: Sequence[Detection]) -> No
     rec.send_columns(
         "verify/ledger",
         indexes=[rr.TimeColumn("candidate", sequence=[d.cluster for d in ordered])],
-        columns=rr.AnyValues.columns(
+        columns=rr.AnyValues.columns(  # pyright: ignore[reportUnknownMemberType]
             fate=[d.fate for d in ordered],
             reason=[d.reason for d in ordered],
             model=[d.model for d in ordered],

@@ -76,12 +76,19 @@ def at_candidate(rec: rr.RecordingStream, candidate: int, iteration: int | None 
         rec.set_time("iteration", sequence=iteration)
 
 
+def place(rec: rr.RecordingStream, path: str, frame: str) -> None:
+    """Say for all times in which frame the coordinates of an entity are.
+
+    Without it, also before its first row, an entity hangs in a frame of its own.
+    """
+    rec.log(path, rr.CoordinateFrame(frame), static=True)
+
+
 def put(
     rec: rr.RecordingStream, path: str, shape: rr.AsComponents, frame: str, static: bool = False
 ) -> None:
     """Log a shape whose coordinates are in ``frame``, now or for all times."""
-    # the frame is static: before its first row an entity would hang in a frame of its own
-    rec.log(path, rr.CoordinateFrame(frame), static=True)
+    place(rec, path, frame)
     rec.log(path, shape, static=static)
 
 

@@ -6,10 +6,14 @@ wait for it.
 
 from __future__ import annotations
 
+import socket
 import sys
 from pathlib import Path
 from shutil import which
 from typing import TYPE_CHECKING, Literal
+from urllib.parse import urlsplit
+
+from spinpipe.stages.stage import StageError
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -17,6 +21,7 @@ if TYPE_CHECKING:
     from spinpipe.pipeline.drawing import Reader
 
 APPLICATION_ID = "spinpipe"
+DEFAULT_URL = "rerun+http://127.0.0.1:9876/proxy"
 
 RecordMode = Literal["save", "spawn", "connect", "off"]
 
@@ -37,9 +42,16 @@ def open_recording(
     Returns
     -------
     The recording, to be closed by ``close_recording``, or ``None`` for ``off``.
+
+    Raises
+    ------
+    StageError
+        When the file cannot be created, or when no viewer answers at ``url``.
     """
     if mode == "off":
         return None
+    if mode == "connect":
+        _check_viewer(url or DEFAULT_URL)
     import rerun as rr
 
     rec = rr.RecordingStream(APPLICATION_ID, recording_id=run_name)
@@ -51,8 +63,11 @@ def open_recording(
     if mode == "spawn":
         rr.spawn(connect=False, executable_path=find_viewer(), recording=rec)
     if mode in ("spawn", "connect"):
-        sinks.append(rr.GrpcSink(url) if url else rr.GrpcSink())
-    rec.set_sinks(*sinks)
+        sinks.append(rr.GrpcSink(url or DEFAULT_URL))
+    try:
+        rec.set_sinks(*sinks)
+    except RuntimeError as error:
+        raise StageError(f"the recording cannot be written: {error}") from error
     return rec
 
 
@@ -64,13 +79,38 @@ def record_stage(stage: str, read: Reader, rec: rr.RecordingStream, preview_poin
     DRAW[stage](read, rec, preview_points)
     if stage in ("ingest", "ground"):  # the second time for the upright cloud
         rec.send_blueprint(build_blueprint(read))
-    rec.flush()
 
 
 def close_recording(rec: rr.RecordingStream) -> None:
-    """Write everything out and end the recording: a file is complete then."""
-    rec.flush()
-    rec.disconnect()
+    """Write everything out and end the recording: a file is complete then.
+
+    Raises
+    ------
+    StageError
+        When the file could not be written. A viewer that was closed meanwhile is no error.
+    """
+    try:
+        rec.flush()
+    except RuntimeError as error:
+        if "gRPC" not in str(error):
+            raise StageError(
+                f"the recording cannot be written: {error}; is the disk full?"
+            ) from error
+    finally:
+        rec.disconnect()
+
+
+def _check_viewer(url: str) -> None:
+    """Fail at once: a recording to a viewer that is not there would only fail at its end."""
+    where = urlsplit(url)
+    try:
+        with socket.create_connection((where.hostname or "", where.port or 9876), timeout=3):
+            return
+    except (OSError, ValueError) as error:
+        raise StageError(
+            f"no Rerun viewer answers at {url} ({error}): start one with `rerun`, "
+            "or record with --rerun save"
+        ) from error
 
 
 def find_viewer() -> str | None:
