@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import sys
-from enum import Enum, StrEnum
-from importlib.metadata import version
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -14,13 +13,13 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
+    rich_markup_mode=None,  # plain help: to load rich takes longer than all the rest
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Find every instance of a known object in a point cloud reconstructed from photos.",
 )
 
 
-class RerunMode(str, Enum):
+class RerunMode(StrEnum):
     """Where the recording goes."""
 
     save = "save"
@@ -69,7 +68,7 @@ def run(
     until: UntilOption = None,
     rerun: RerunOption = RerunMode.save,
 ) -> None:
-    """Run a config: only stages whose inputs or settings changed are computed.
+    """Run a config; what did not change since the last run is reused.
 
     Ends with 0 even if nothing was found (that is a result), with 1 if the input cannot be
     worked on, with 2 if the config or the command is wrong, with 130 after Ctrl-C.
@@ -99,7 +98,7 @@ def init(
     scene: Annotated[str, typer.Option(help="The reconstruction: PLY, LAS or COLMAP.")] = "",
     model: Annotated[str, typer.Option(help="What to find: a mesh or a cloud.")] = "",
 ) -> None:
-    """Write a commented config; without a scene of your own it comes with a small example."""
+    """Write a commented config, and an example scene if none is given."""
     from spinpipe.pipeline.commands import init_command
 
     init_command(path, scene, model)
@@ -120,7 +119,7 @@ def demo(
 
 @app.command()
 def stages() -> None:
-    """Explain the stages: what each reads and writes, and every key of its section."""
+    """Explain the stages: their topics and every key of their sections."""
     from spinpipe.pipeline.commands import stages_command
 
     stages_command()
@@ -131,7 +130,7 @@ def record(
     folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder.")],
     rerun: RerunOption = RerunMode.save,
 ) -> None:
-    """Draw a run's MCAP files into a Rerun recording again, without computing anything."""
+    """Draw a run's MCAP files into a Rerun recording; compute nothing."""
     from spinpipe.pipeline.commands import record_command
 
     record_command(folder, rerun.value)
@@ -162,7 +161,7 @@ def evaluate(
         Path | None, typer.Option(metavar="PNG", help="Draw the scene from above.")
     ] = None,
 ) -> None:
-    """Compare a run with labels: recall, precision, errors, every miss and every false one."""
+    """Compare a run with labels: recall, precision, errors and misses."""
     from spinpipe.pipeline.evaluate import eval_command
 
     rule = None if by_model is None else "name" if by_model else "any"
@@ -171,6 +170,8 @@ def evaluate(
 
 def _print_version(value: bool) -> None:
     if value:
+        from importlib.metadata import version
+
         typer.echo(f"spinpipe {version('spinpipe')}")
         raise typer.Exit
 
