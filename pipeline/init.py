@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator
 
+import tomli_w
 from pydantic.fields import FieldInfo
 
 from spinpipe.pipeline.config import SECTIONS
@@ -40,7 +41,7 @@ def _section(
             field.description or "", 96, initial_indent="# ", subsequent_indent="# "
         )
         if key in given:
-            yield f'{key} = "{given[key]}"'
+            yield tomli_w.dumps({key: given[key]}).strip()
         else:
             default = default_text(field)
             yield f"# {key} = {'...' if default in ('none', 'needed') else default}"
