@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from spinpipe.pipeline.evaluation import Rule, Score, distances
 from spinpipe.pipeline.export import ReadTopic
@@ -218,4 +218,4 @@ def _near_points(truths: Sequence[TruthObject], points: F32, reach_m: float) -> 
     """Rows of the points (N, 3) that stand horizontally within reach of each truth."""
     if not len(points):
         return [[] for _ in truths]
-    return list(cKDTree(points[:, :2]).query_ball_point(_places(truths), reach_m))
+    return list(KDTree(points[:, :2]).query_ball_point(_places(truths), reach_m))
