@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 from spinpipe.pipeline.config import ConfigError, ExecutionSection
 from spinpipe.stages.stage import StageError
@@ -62,13 +62,17 @@ class DaskEngine:
         try:
             for item in items:
                 waiting.append(self._client.submit(function, item, pure=False, retries=RETRIES))
-                if len(waiting) > 2 * max(1, sum(self._client.nthreads().values())):
+                if len(waiting) > 2 * max(1, self._slots()):
                     yield _result(waiting.popleft())
             while waiting:
                 yield _result(waiting.popleft())
         finally:
             for future in waiting:
                 future.cancel()
+
+    def _slots(self) -> int:
+        """Threads of all workers there are now: they come and go."""
+        return sum(cast("dict[str, int]", self._client.nthreads()).values())
 
 
 def _result(future: Future[Any]) -> Any:
@@ -83,7 +87,7 @@ def _result(future: Future[Any]) -> Any:
 
 
 @contextmanager
-def open_engine(config: ExecutionSection, cores: int) -> Iterator[Engine]:
+def open_engine(config: ExecutionSection, cores: int) -> Generator[Engine]:
     """The engine that a config asks for, closed at the end.
 
     Parameters

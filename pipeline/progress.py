@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 
 from rich.console import Console
@@ -54,7 +54,7 @@ class StageProgress:
 
 
 @contextmanager
-def stage_progress(console: Console, stage: str) -> Iterator[StageProgress]:
+def stage_progress(console: Console, stage: str) -> Generator[StageProgress]:
     """Show the bars of one stage while it runs."""
     bars = Progress(
         TextColumn("  {task.fields[stage]:<8}"),

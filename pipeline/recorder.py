@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -21,7 +21,7 @@ Draw = Callable[[str, RunReader], None]
 @contextmanager
 def recorder(
     run: str, mode: RecordMode, path: Path, preview_points: int, *, keep: bool = False
-) -> Iterator[Draw]:
+) -> Generator[Draw]:
     """Give a function that draws one complete stage.
 
     Parameters

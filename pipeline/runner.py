@@ -7,7 +7,7 @@ import json
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -53,7 +53,7 @@ class Runner:
         self._console = console
 
     def run(
-        self, steps: list[Step], on_stage: Callable[[str], None] = lambda stage: None
+        self, steps: list[Step], on_stage: Callable[[str], None] = lambda _: None
     ) -> list[StageReport]:
         """Run or reuse every step; ``on_stage`` is called when a stage's file is complete.
 
@@ -139,7 +139,7 @@ class Runner:
 
 
 @contextmanager
-def locked(folder: RunFolder) -> Iterator[None]:
+def locked(folder: RunFolder) -> Generator[None]:
     """Hold the folder for this process.
 
     Raises

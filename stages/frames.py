@@ -22,6 +22,11 @@ def world_from_scene(frame: SceneFrame, upright: Upright) -> F64:
     return upright.T_world_local @ local_from_scene(frame)
 
 
+def inverse(T: F64) -> F64:
+    """(4, 4) T_b_a from T_a_b."""
+    return np.asarray(np.linalg.inv(T), np.float64)
+
+
 def transform(T: F64, points: NDArray[Any]) -> F64:
     """Apply a (4, 4) transform to (N, 3) points, in float64."""
     return np.asarray(points, dtype=np.float64) @ T[:3, :3].T + T[:3, 3]

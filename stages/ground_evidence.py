@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from spinpipe.stages.plane import FittedPlane
 
@@ -34,6 +34,12 @@ BAND = 4 / 3
 """Height in inlier distances that noise does not reach: four standard deviations."""
 PART = 0.1
 """A group belongs to a plane if the plane holds this share of it, or it of the plane."""
+ROLLED_DEG = 10.0
+"""Cameras with more roll (root mean square) are not held level."""
+TURNED_DEG = 15.0
+"""Cameras that turn by less (root mean square) do not tell the axis they turn about."""
+TILT_DEG = 20.0
+"""The ground may be tilted by this much against the vertical of the cameras."""
 ABOUT = 8
 """Points of the ground that give its height below a point."""
 
@@ -71,7 +77,7 @@ def solid_surface(points: F64, normals: F64, voxel: float) -> Surface:
     voxel
         Spacing of the sample.
     """
-    pairs = cKDTree(points).query_pairs(REACH * voxel, output_type="ndarray")
+    pairs = KDTree(points).query_pairs(REACH * voxel, output_type="ndarray")
     everything = Surface(points, normals, pairs, voxel)
     labels = everything.groups(np.ones(len(points), bool))
     solid = np.bincount(labels)[labels] >= SPECK
@@ -134,8 +140,8 @@ def grow_terrain(surface: Surface, plane: FittedPlane) -> Terrain:
     axes = np.linalg.svd(plane.normal[None])[2][1:]
     flat = surface.points @ axes.T
     about = min(ABOUT, np.count_nonzero(members))
-    _, below = cKDTree(flat[members]).query(flat, k=[*range(1, about + 1)])
-    gap, _ = cKDTree(surface.points[members]).query(surface.points)
+    _, below = KDTree(flat[members]).query(flat, k=[*range(1, about + 1)])
+    gap, _ = KDTree(surface.points[members]).query(surface.points)
     heights = from_plane - np.median(from_plane[members][below], axis=1)
     band = max(BAND * plane.inlier_distance, surface.voxel)
     return Terrain(
@@ -206,12 +212,40 @@ def scene_evidence(surface: Surface, terrains: list[Terrain]) -> list[dict[str, 
     return result
 
 
+def camera_up(rotations: F64) -> F64 | None:
+    """Find the up of level cameras: the axis that they turn about.
+
+    Photos are rarely rolled, so the cameras' x axes are horizontal; their common normal is the
+    eigenvector of the smallest eigenvalue of the sum of ``x x^T`` [Szeliski 2006, section 4].
+
+    Parameters
+    ----------
+    rotations
+        (C, 3, 3) camera to scene; -y of a camera is its own up.
+
+    Returns
+    -------
+    ndarray or None
+        (3,) unit vector; None where the cameras are rolled, or turn too little to tell (a flight
+        that looks straight down with one heading).
+    """
+    x = rotations[:, :, 0]
+    values, vectors = np.linalg.eigh(x.T @ x / len(x))
+    rolled, turned = np.sqrt(np.maximum(values[:2], 0))
+    if rolled > np.sin(np.radians(ROLLED_DEG)) or turned < np.sin(np.radians(TURNED_DEG)):
+        return None
+    axis = vectors[:, 0]
+    return -axis * np.copysign(1.0, rotations[:, :, 1].sum(axis=0) @ axis)
+
+
 def camera_evidence(positions: F64, rotations: F64, plane: FittedPlane) -> dict[str, float]:
     """Ask the photos about a plane as the ground, its normal as up.
 
     - ``cameras above``: the cameras are above the ground.
     - ``cameras upright``: a camera's own up (-y) or its back (-z) points up: photos are taken
       upright, looking down, or between the two.
+    - ``cameras level``: the normal is the axis that level cameras turn about, whatever its sign;
+      0 at an angle of ``TILT_DEG``, and where there is no such axis.
 
     Parameters
     ----------
@@ -224,7 +258,13 @@ def camera_evidence(positions: F64, rotations: F64, plane: FittedPlane) -> dict[
     above = np.count_nonzero(heights > plane.inlier_distance)
     below = np.count_nonzero(heights < -plane.inlier_distance)
     back_and_up = -(rotations[:, :, 1] + rotations[:, :, 2]) @ plane.normal
+    up = camera_up(rotations)
+    level = 0.0
+    if up is not None:
+        tilt_deg = np.degrees(np.arccos(min(abs(float(up @ plane.normal)), 1.0)))
+        level = float(max(1 - tilt_deg / TILT_DEG, -1))
     return {
         "cameras above": _vote(above, below, 1),
         "cameras upright": float(np.clip(back_and_up, -1, 1).sum()) / (len(positions) + 1),
+        "cameras level": level,
     }

@@ -7,7 +7,7 @@ and judged by the same residual as trimmed ICP, so that thresholds mean the same
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from spinpipe.schemas.records import F32, F64
 from spinpipe.stages.frames import heading_deg, yaw_matrix
@@ -34,7 +34,7 @@ def kiss_icp_fit(
     from kiss_icp.registration import Registration
 
     scene = cutout.astype(np.float64)
-    tree = cKDTree(scene)
+    tree = KDTree(scene)
     reach_m = float(np.ptp(samples[:, 2])) / 2
     # 20 points a voxel, its own default: ten times as fast as all points, 1 cm less exact.
     voxel_map = VoxelHashMap(voxel_size=reach_m, max_distance=1e9, max_points_per_voxel=20)

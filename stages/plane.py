@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 F64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -67,7 +67,7 @@ def local_planes(points: F64, *, neighbours: int = 16) -> LocalPlanes:
         Points in each plane, itself included.
     """
     neighbours = min(neighbours, len(points))
-    _, index = cKDTree(points).query(points, k=neighbours)
+    _, index = KDTree(points).query(points, k=neighbours)
     patches = points[index]
     patches = patches - patches.mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", patches, patches))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from spinpipe.schemas.records import I64
 
@@ -38,7 +38,7 @@ def suppress(
     if len(points) == 0:
         return np.empty(0, np.int64), members
     xy = points[:, :2].astype(np.float64)
-    tree = cKDTree(xy)
+    tree = KDTree(xy)
     for row in np.lexsort((*points.T[::-1], -correlation)):
         if members[row] >= 0:
             continue

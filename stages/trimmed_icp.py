@@ -7,7 +7,7 @@ are worked on at once.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from spinpipe.schemas.records import F32, F64
 from spinpipe.stages.icp_fit import IcpFit, start_poses
@@ -37,7 +37,7 @@ def trimmed_icp(
         [Rusinkiewicz & Levoy 2001, section 3.4]).
     threads : of the neighbour search; the result is the same for any number.
     """
-    tree = cKDTree(cutout.astype(np.float64))
+    tree = KDTree(cutout.astype(np.float64))
     kept = max(1, round(keep * len(samples)))
     pose = start_poses(position, top, starts)
     headings = np.degrees(np.arctan2(pose[:, 1, 0], pose[:, 0, 0])) % 360.0
@@ -52,7 +52,7 @@ def trimmed_icp(
     return IcpFit(np.array(poses), np.array(rms, np.float32), np.full(starts, kept), headings)
 
 
-def _pairs(pose: F64, samples: F64, tree: cKDTree, kept: int, threads: int) -> tuple[F64, F64, F64]:
+def _pairs(pose: F64, samples: F64, tree: KDTree, kept: int, threads: int) -> tuple[F64, F64, F64]:
     """RMS (S,), model points (S, kept, 3) and their nearest scene points, nearest pairs first."""
     moved = np.einsum("sij,nj->sni", pose[:, :3, :3], samples) + pose[:, None, :3, 3]
     distance, row = tree.query(moved, workers=threads)

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 from pydantic import Field
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from spinpipe.schemas import (
@@ -32,7 +32,7 @@ from spinpipe.schemas.records import (
     SpinImage,
     Vector,
 )
-from spinpipe.stages.frames import heading_deg, transform, world_from_scene
+from spinpipe.stages.frames import heading_deg, inverse, transform, world_from_scene
 from spinpipe.stages.icp_fit import IcpFit
 from spinpipe.stages.kiss_registration import kiss_icp_fit
 from spinpipe.stages.neighbourhood import WorldCloud
@@ -68,7 +68,7 @@ class Verify:
         """Fit every candidate, then write traces, detections and the poses of the accepted."""
         models = {m.name: _Target.of(m, ctx) for m in ctx.read(MODELS)}
         cloud = WorldCloud.of(ctx.read(CLOUD), ctx.read_one(TILES), ctx.read_one(UPRIGHT))
-        T_scene_world = np.linalg.inv(world_from_scene(ctx.read_one(SCENE), ctx.read_one(UPRIGHT)))
+        T_scene_world = inverse(world_from_scene(ctx.read_one(SCENE), ctx.read_one(UPRIGHT)))
         clusters = ctx.read(CLUSTERS)
         progress = ctx.progress("candidates", len(clusters))
         detections: list[Detection] = []
@@ -99,7 +99,7 @@ class _Target:
         self.image = image
         self.samples = samples
         self.top = topmost_point(model.points)
-        self.tree = cKDTree(model.points.astype(np.float64))
+        self.tree = KDTree(model.points.astype(np.float64))
 
     @classmethod
     def of(cls, model: ObjectModel, ctx: Context[Verify.Config]) -> _Target:
@@ -196,9 +196,9 @@ class _Judge:
         """Share of model samples near the scene, and of scene points in the model's box near it."""
         reach_m = self._max_rms_m
         moved = transform(pose, self._target.samples)
-        scene_tree = cKDTree(self._cutout.astype(np.float64))
+        scene_tree = KDTree(self._cutout.astype(np.float64))
         by_scene = scene_tree.query(moved, distance_upper_bound=reach_m)[0] < reach_m
-        in_object = transform(np.linalg.inv(pose), self._cutout)
+        in_object = transform(inverse(pose), self._cutout)
         points = self._target.model.points
         low, high = points.min(axis=0) - reach_m, points.max(axis=0) + reach_m
         inside = in_object[np.all((in_object >= low) & (in_object <= high), axis=1)]
