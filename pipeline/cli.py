@@ -168,6 +168,31 @@ def evaluate(
     eval_command(folder, truth, radius, rule, frame.value, json, picture)
 
 
+model_app = typer.Typer(no_args_is_help=True, help="Make models of objects.")
+app.add_typer(model_app, name="model")
+
+
+@model_app.command("cut")
+def model_cut(
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder.")],
+    at: Annotated[str, typer.Option(metavar="X,Y[,Z]", help="Its base centre, scene coordinates.")],
+    size: Annotated[
+        str, typer.Option(metavar="L,W,H", help="Length, width, height of the box, metres.")
+    ],
+    heading: Annotated[
+        float, typer.Option(help="Where its front is, degrees from the scene's +x to +y.")
+    ] = 0.0,
+    name: Annotated[str, typer.Option(help="Name of the model.")] = "object",
+    out: Annotated[Path, typer.Option(metavar="PLY", help="The file to write.")] = Path(
+        "object.ply"
+    ),
+) -> None:
+    """Cut one instance out of a run's scene, to look for more of its kind."""
+    from spinpipe.pipeline.cut import cut_command
+
+    cut_command(folder, at, size, heading, name, out)
+
+
 def _print_version(value: bool) -> None:
     if value:
         from importlib.metadata import version

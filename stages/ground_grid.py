@@ -1,0 +1,86 @@
+"""Local ground: the height of the ground in every cell of a grid, whatever stands on it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, grey_opening
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class GroundGrid:
+    """Ground heights over a rectangle of the world's x-y plane."""
+
+    low: F64
+    """(2,) least x and y, metres."""
+    cell_m: float
+    height: F64
+    """(X, Y) world z of the ground; where none was seen that of the nearest cell with ground."""
+    seen: NDArray[np.bool_]
+    """(X, Y) whether ground was seen in the cell."""
+
+    def cells(self, xy: NDArray[np.floating]) -> tuple[I64, NDArray[np.bool_]]:
+        """Cells (N, 2) of points (N, 2), clipped to the grid, and which lie on it (N,)."""
+        cells = np.floor((xy - self.low) / self.cell_m).astype(np.int64)
+        last = np.array(self.height.shape) - 1
+        inside = np.all((cells >= 0) & (cells <= last), axis=1)
+        return np.clip(cells, 0, last), inside
+
+    def heights(self, xy: NDArray[np.floating]) -> F64:
+        """Ground height (N,) at points (N, 2); beyond the grid that of its border."""
+        cells, _ = self.cells(xy)
+        return self.height[cells[:, 0], cells[:, 1]]
+
+
+def ground_grid(
+    pieces: Iterable[NDArray[np.floating]],
+    low: F64,
+    high: F64,
+    *,
+    cell_m: float,
+    window_m: float,
+    step_m: float,
+) -> GroundGrid:
+    """Ground from the lowest point of each cell, by morphological opening [Zhang et al. 2003].
+
+    Parameters
+    ----------
+    pieces : (N, 3) points of the world each, z up, metres.
+    low, high : (2,) corners of the grid.
+    cell_m : side of a cell.
+    window_m : whatever is narrower than this and stands out upwards is no ground.
+    step_m : how far a cell's lowest point may rise above the opened surface and still be ground.
+
+    Raises
+    ------
+    ValueError
+        If no point lies over the grid.
+    """
+    shape = np.maximum(np.ceil((high - low) / cell_m).astype(int), 1)
+    lowest = np.full(int(shape.prod()), np.inf)
+    for xyz in pieces:
+        cell = np.floor((xyz[:, :2] - low) / cell_m).astype(np.int64)
+        inside = np.all((cell >= 0) & (cell < shape), axis=1)
+        flat = cell[inside, 0] * shape[1] + cell[inside, 1]
+        np.minimum.at(lowest, flat, xyz[inside, 2].astype(np.float64))
+    lowest = lowest.reshape(shape)
+    occupied = np.isfinite(lowest)
+    if not occupied.any():
+        raise ValueError("no point lies over the grid")
+    filled = _from_nearest(lowest, occupied)
+    window = np.minimum(max(3, round(window_m / cell_m)), shape)
+    opened = grey_opening(filled, size=tuple(window.tolist()), mode="nearest")
+    seen = occupied & (lowest - opened <= step_m)
+    return GroundGrid(np.asarray(low, np.float64), cell_m, _from_nearest(lowest, seen), seen)
+
+
+def _from_nearest(values: F64, known: NDArray[np.bool_]) -> F64:
+    """Values of the nearest known cell."""
+    _, nearest = distance_transform_edt(~known, return_indices=True)
+    return values[nearest[0], nearest[1]]
