@@ -1,0 +1,1 @@
+"""Everything that is not science: config, files, resume, recording, results, command line."""

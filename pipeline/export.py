@@ -21,9 +21,9 @@ from spinpipe.schemas.topics import Topic
 T = TypeVar("T")
 
 _COLUMNS = (
-    "id model x y z heading_deg score rms_m coverage_model coverage_scene "
-    "heading_margin length_m width_m height_m"
-).split()
+    *("id", "model", "x", "y", "z", "heading_deg", "score", "rms_m", "coverage_model"),
+    *("coverage_scene", "heading_margin", "length_m", "width_m", "height_m"),
+)
 
 PALETTE = ((0, 158, 115), (0, 114, 178), (213, 94, 0), (204, 121, 167), (230, 159, 0))
 """Colours of models that colour-blind people can tell apart (Okabe and Ito)."""

@@ -200,7 +200,7 @@ def _reader(path: Path) -> SeekingReader:
 
 
 @lru_cache(maxsize=8)
-def _open_reader(path: Path, inode: int, mtime_ns: int, pid: int) -> SeekingReader:
+def _open_reader(path: Path, *_identity: int) -> SeekingReader:
     """A reader whose index is kept; inode and time tell a rewritten file, pid a forked process."""
     return SeekingReader(path.open("rb"), validate_crcs=True)
 

@@ -51,7 +51,7 @@ def _score_dtype(models: int) -> np.dtype:
 
 
 def encode_scores(scores: ScoreTile) -> PointCloud:
-    """Scored origins -> point cloud in frame ``world`` with a field ``correlation/<model>`` each."""
+    """Scored origins -> point cloud in frame ``world`` with a field ``correlation/<model>``."""
     rows = np.empty(len(scores.points), dtype=_score_dtype(len(scores.models)))
     rows["xyz"] = scores.points
     rows["rgba"][:, :3] = scores.rgb

@@ -6,7 +6,7 @@ vertices. Such rows must be walked one by one to find where the next begins.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -41,8 +41,9 @@ class ListRows:
             [(count.itemsize if count else 0, item.itemsize) for count, item in properties]
         ).reshape(-1, 2)
         self._targets = np.full(len(properties), -1)
+        fields: Mapping[str, Any] = self.dtype.fields or {}
         for name, i in zip(names, wanted, strict=True):
-            self._targets[i] = self.dtype.fields[name][1] if self.dtype.fields else -1
+            self._targets[i] = fields[name][1]
         self._big_endian = any(
             kind is not None and kind.str.startswith(">") for pair in properties for kind in pair
         )
