@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from plyfile import PlyData, PlyElement
+from pydantic import ValidationError
 from rich.console import Console
 
 from spinpipe.pipeline.atomic import write_atomically
@@ -29,8 +30,9 @@ def cut_command(path: Path, at: str, size: str, heading_deg: float, name: str, o
     """``spinpipe model cut``."""
     try:
         ModelConfig(name=name, path=out)
-    except ValueError as error:
-        raise ConfigError(f"--name {name}: {str(error).splitlines()[2].strip()}") from None
+    except ValidationError as error:
+        reason = error.errors()[0]["msg"].removeprefix("Value error, ")
+        raise ConfigError(f"--name: {reason}") from None
     place = _numbers(at, "--at", (2, 3), "x,y or x,y,z in scene coordinates")
     extent = _numbers(size, "--size", (3,), "length,width,height in metres")
     if min(extent) <= 0:
@@ -42,7 +44,7 @@ def cut_command(path: Path, at: str, size: str, heading_deg: float, name: str, o
     console = Console()
     size_text = " x ".join(f"{v:.2f}" for v in np.ptp(xyz, axis=0))
     console.print(f"{name}: {len(xyz)} points, {size_text} m; wrote {out}", highlight=False)
-    section = f'[[model]]\nname = "{name}"\npath = "{out.name}"'
+    section = f'[[model]]\nname = "{name}"\npath = "{out.as_posix()}"'
     console.print(section, highlight=False, markup=False)
 
 

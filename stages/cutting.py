@@ -65,7 +65,7 @@ def cut_instance(
     pose = yaw_matrix(heading_deg, np.append(centre, base_z or 0.0))
     if base_z is None:
         pose[2, 3] = _ground_below(grid, pose, size)
-    in_object = transform(np.asarray(np.linalg.inv(pose), np.float64), points)
+    in_object = transform(_inverse(pose), points)
     inside = np.all(np.abs(in_object[:, :2]) <= size[:2] / 2, axis=1) & (in_object[:, 2] <= size[2])
     above_ground = points[:, 2] - grid.heights(points[:, :2])
     inside &= np.minimum(above_ground, in_object[:, 2]) > _ground_noise(grid, points, size)
@@ -76,8 +76,7 @@ def _ground_below(grid: GroundGrid, pose: F64, size: F64) -> float:
     """Middle height of the ground seen next to the box, else of what lies below it."""
     x, y = np.meshgrid(*(np.arange(n) for n in grid.height.shape), indexing="ij")
     middles = grid.low + grid.cell_m * (np.stack([x.ravel(), y.ravel()], axis=1) + 0.5)
-    T_object_world = np.asarray(np.linalg.inv(pose), np.float64)
-    offset = transform(T_object_world, np.column_stack([middles, np.zeros(len(middles))]))
+    offset = transform(_inverse(pose), np.column_stack([middles, np.zeros(len(middles))]))
     outside = np.max(np.abs(offset[:, :2]) - size[:2] / 2, axis=1)
     beside = (outside > 0) & (outside < min(size[:2]) / 2) & grid.seen.ravel()
     heights = grid.height.ravel()[beside]
@@ -96,3 +95,7 @@ def _ground_noise(grid: GroundGrid, points: NDArray[np.floating], size: F64) -> 
     ground = above[inside & grid.seen[cells[:, 0], cells[:, 1]] & (above < 5.0 * least)]
     spread = 3.0 * float(np.median(ground)) if len(ground) else 0.0
     return float(np.clip(spread, least, 3.0 * least))
+
+
+def _inverse(T: F64) -> F64:
+    return np.asarray(np.linalg.inv(T), np.float64)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,5 +83,7 @@ def ground_grid(
 
 def _from_nearest(values: F64, known: NDArray[np.bool_]) -> F64:
     """Values of the nearest known cell."""
-    _, nearest = distance_transform_edt(~known, return_indices=True)
+    nearest = cast(
+        "I64", distance_transform_edt(~known, return_distances=False, return_indices=True)
+    )
     return values[nearest[0], nearest[1]]
