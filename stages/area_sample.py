@@ -104,7 +104,7 @@ def sample_by_area(
     AreaSample
         The same for every order of the points and every division into tiles.
     """
-    smallest = max(extent / FLOAT32_STEPS, float(np.finfo(np.float32).tiny))
+    smallest = extent / FLOAT32_STEPS if extent > 0 else 1.0  # all points may be one place
     sample = _thin(
         np.empty((0, 3), np.float32),
         np.empty(0, np.int64),
