@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from spinpipe.schemas import CAMERAS, CLOUD, PLANE, TILES, UPRIGHT
 from spinpipe.schemas.records import Evidence, Plane, Upright
 from spinpipe.stages.area_sample import AreaSample, sample_by_area
-from spinpipe.stages.ground_evidence import SLOPE_DEG, solid_surface
+from spinpipe.stages.ground_evidence import SLOPE_DEG, camera_up, solid_surface
 from spinpipe.stages.level import lowest_level
 from spinpipe.stages.plane import (
     SIGMAS,
@@ -64,9 +64,8 @@ class Ground:
             1.5, gt=1, description="how much better the evidence for up must be than for its rival"
         )
         confidence: float = Field(
-            0.9999, gt=0, lt=1, description="probability that RANSAC draws three inliers"
+            0.999, gt=0, lt=1, description="probability that RANSAC draws three inliers"
         )
-        iterations: int = Field(20_000, ge=1, description="most hypotheses for each plane")
         sample_points: int = Field(
             150_000, ge=1000, le=2_000_000, description="most points in the sample of the surface"
         )
@@ -135,12 +134,12 @@ def _estimate(ctx: Context[Ground.Config], points: F64, local: LocalPlanes, voxe
     surface = solid_surface(points, local.normals, voxel)
     hypotheses = rank(surface, planes, cameras)
     best, rival = hypotheses[0], best_rival(hypotheses)
+    vertical = None if cameras is None else camera_up(cameras[1])
+    if vertical is not None and best.evidence["cameras level"] < 0:
+        # The best plane is a wall to the cameras: the scene has no ground, or too little of it.
+        raise _undecided(vertical, best.up)
     if best.score < config.min_margin * rival.score:
-        raise StageError(
-            "ground: cannot tell which way is up: candidates"
-            f" {format_vector(best.up)} and {format_vector(rival.up)};"
-            f" set ground.up = {format_vector(best.up)} (or the other) in the config"
-        )
+        raise _undecided(best.up, rival.up)
     by_points = best.weight("points") / rival.weight("points")
     by_cameras = best.weight("cameras") / rival.weight("cameras")
     plane = refine_plane(
@@ -155,6 +154,14 @@ def _estimate(ctx: Context[Ground.Config], points: F64, local: LocalPlanes, voxe
         points,
         "cameras" if by_cameras > by_points else "points",
         {**best.evidence, "margin": best.score / rival.score},
+    )
+
+
+def _undecided(first: F64, second: F64) -> StageError:
+    return StageError(
+        "ground: cannot tell which way is up: candidates"
+        f" {format_vector(first)} and {format_vector(second)};"
+        f" set ground.up = {format_vector(first)} (or the other) in the config"
     )
 
 
@@ -208,7 +215,6 @@ def find_planes(
             count=PLANES,
             min_share=config.min_inlier_share,
             confidence=config.confidence,
-            max_trials=config.iterations,
             fixed_distance=stated,
         )
         if planes or stated or 2 * distance > widest:

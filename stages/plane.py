@@ -94,10 +94,7 @@ def _hypotheses(points: F64, rng: np.random.Generator, count: int) -> tuple[F64,
 
 def _trials(share: float, confidence: float) -> float:
     """Triples after which one was all inliers with ``confidence`` [Fischler & Bolles 1981]."""
-    hit = share**3
-    if hit >= 1:
-        return 1
-    return np.inf if hit <= 0 else np.log1p(-confidence) / np.log1p(-hit)
+    return 1.0 if share >= 1 else float(np.log1p(-confidence) / np.log1p(-(share**3)))
 
 
 def msac_score(heights: F64, distance: float) -> F64:
@@ -163,8 +160,8 @@ def ransac_plane(
     distance: float,
     rng: np.random.Generator,
     *,
-    confidence: float = 0.9999,
-    max_trials: int = 20_000,
+    min_share: float,
+    confidence: float = 0.999,
     fixed_distance: bool = False,
 ) -> FittedPlane:
     """Find the plane with the best truncated quadratic score.
@@ -177,10 +174,10 @@ def ransac_plane(
         Inlier distance.
     rng
         Draws the triples.
+    min_share
+        Least share of the points that the plane must hold to be of use.
     confidence
-        Stop when a triple of inliers was drawn with this probability ...
-    max_trials
-        ... or after this many triples.
+        Stop when a triple of inliers of such a plane was drawn with this probability.
     fixed_distance
         Keep the inlier distance as given while refining.
 
@@ -191,8 +188,8 @@ def ransac_plane(
     """
     scored = points[:SCORED]
     finalists: list[tuple[float, FittedPlane]] = []
-    needed, drawn = float(max_trials), 0
-    while drawn < min(needed, max_trials):
+    needed, drawn = _trials(min_share, confidence), 0
+    while drawn < needed:
         normals, offsets = _hypotheses(points, rng, BATCH)
         drawn += BATCH
         if len(normals) == 0:
@@ -205,7 +202,7 @@ def ransac_plane(
             )
         finalists = sorted(finalists, key=lambda entry: -entry[0])[:FINALISTS]
         best = np.abs(finalists[0][1].heights(scored)) < distance
-        needed = _trials(float(best.mean()), confidence)
+        needed = _trials(max(float(best.mean()), min_share), confidence)
     if not finalists:
         raise ValueError("no three points span a plane")
     judges = points[: 8 * SCORED]
@@ -222,8 +219,7 @@ def ransac_planes(
     *,
     count: int,
     min_share: float,
-    confidence: float = 0.9999,
-    max_trials: int = 20_000,
+    confidence: float = 0.999,
     fixed_distance: bool = False,
 ) -> list[FittedPlane]:
     """Find the largest planes one after the other, each found among the points that are left.
@@ -245,7 +241,7 @@ def ransac_planes(
         Most planes.
     min_share
         Least share of the points that a plane must hold.
-    confidence, max_trials, fixed_distance
+    confidence, fixed_distance
         As for ``ransac_plane``.
 
     Returns
@@ -264,8 +260,8 @@ def ransac_planes(
             left,
             distance,
             rng,
+            min_share=min_share * len(points) / len(left),
             confidence=confidence,
-            max_trials=max_trials,
             fixed_distance=fixed_distance,
         )
         heights = np.abs(plane.heights(left))

@@ -226,6 +226,18 @@ def test_cameras_against_the_points_are_undecided():
         ground_of(scene, nadir_cameras(-20.0), min_margin=20)
 
 
+def test_a_wall_alone_before_level_cameras_is_undecided():
+    rng = np.random.default_rng(15)
+    wall = rectangle(rng, (0, 0, 0), (20, 0, 0), (0, 0, 8))
+    boards = [box(rng, x, 0, 2, 1, 1) + (0, -1, z) for x, z in ((2, 3), (9, 5), (15, 2))]
+    headings = np.linspace(-40, 40, 9)
+    level = Rotation.from_matrix([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+    turned = Rotation.from_euler("z", headings[:, None], degrees=True) * level
+    positions = np.c_[np.linspace(2, 18, 9), np.full(9, -10), np.full(9, 1.7)]
+    with pytest.raises(StageError, match=r"0\.0000, 1\.0000\] and.*; set ground\.up"):
+        ground_of(np.concatenate([wall, *boards]), Cameras(positions, turned.as_quat()))
+
+
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, 0.05, 2), (0, 0, -1)])
 def test_a_stated_up_is_kept_and_the_level_is_found(up):
     rng = np.random.default_rng(12)

@@ -32,7 +32,7 @@ def test_finds_a_plane_in_clutter(seed, noise):
     rotation = Rotation.random(random_state=seed)
     clutter = rng.uniform(-10, 10, (2000, 3))
     points = np.concatenate([patch(rng, 2000, rotation, 1.5, noise), clutter])
-    plane = ransac_plane(rng.permutation(points), max(3 * noise, 0.01), rng)
+    plane = ransac_plane(rng.permutation(points), max(3 * noise, 0.01), rng, min_share=0.3)
     normal = rotation.apply([0, 0, 1])
     assert angle_deg(plane.normal, normal) < 0.2
     assert abs(plane.offset) == pytest.approx(1.5, abs=0.02)
@@ -41,7 +41,9 @@ def test_finds_a_plane_in_clutter(seed, noise):
 
 def test_the_same_generator_gives_the_same_plane():
     points = np.random.default_rng(0).normal(size=(500, 3)) * (5, 5, 0.1)
-    first, second = (ransac_plane(points, 0.1, np.random.default_rng(7)) for _ in range(2))
+    first, second = (
+        ransac_plane(points, 0.1, np.random.default_rng(7), min_share=0.5) for _ in range(2)
+    )
     assert np.array_equal(first.normal, second.normal)
     assert first.offset == second.offset
 
@@ -87,4 +89,4 @@ def test_collinear_points_span_no_plane():
     assert is_collinear(line)
     assert not is_collinear(np.concatenate([line, [[0, 0, 9]]]))
     with pytest.raises(ValueError, match="no three points"):
-        ransac_plane(np.ones((5, 3)), 0.1, np.random.default_rng(0), max_trials=256)
+        ransac_plane(np.ones((5, 3)), 0.1, np.random.default_rng(0), min_share=0.5)

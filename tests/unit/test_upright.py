@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from spinpipe.schemas.records import Upright
-from spinpipe.stages.ground_evidence import camera_evidence
+from spinpipe.stages.ground_evidence import camera_evidence, camera_up
 from spinpipe.stages.plane import FittedPlane
 from spinpipe.stages.upright import up_quaternion
 
@@ -61,3 +61,22 @@ def test_upright_cameras_above_the_ground_agree(pitch_deg):
 def test_cameras_on_both_sides_say_nothing():
     positions = np.array([[0, 0, 5.0], [0, 0, -5.0]])
     assert camera_evidence(positions, looking(0, [0, 0]), GROUND)["cameras above"] == 0
+
+
+def test_level_cameras_that_turn_know_up():
+    rng = np.random.default_rng(0)
+    turn = Rotation.random(random_state=1)
+    cameras = looking(20, rng.uniform(0, 90, 12)) @ Rotation.from_rotvec([0, 0, 0.02]).as_matrix()
+    up = camera_up(turn.as_matrix() @ cameras)
+    assert up is not None
+    assert up @ turn.apply([0, 0, 1]) > np.cos(np.radians(3))
+    wall = FittedPlane(turn.apply([1.0, 0, 0]), 0.0, 0.1)
+    floor = FittedPlane(turn.apply([0, 0, 1.0]), 0.0, 0.1)
+    positions = turn.apply(rng.uniform(1, 2, (12, 3)))
+    assert camera_evidence(positions, turn.as_matrix() @ cameras, wall)["cameras level"] == -1
+    assert camera_evidence(positions, turn.as_matrix() @ cameras, floor)["cameras level"] > 0.8
+
+
+def test_cameras_that_do_not_turn_or_are_rolled_know_no_up():
+    assert camera_up(looking(90, np.full(9, 30.0))) is None
+    assert camera_up(Rotation.random(20, random_state=2).as_matrix()) is None
