@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 import rerun as rr
@@ -12,25 +13,34 @@ from spinpipe.pipeline import palette
 from spinpipe.pipeline.draw_model import model_bounds, model_path
 from spinpipe.pipeline.drawing import CANDIDATE, NOTES, WORLD, Reader
 from spinpipe.schemas import MODELS, TILES, UPRIGHT
-from spinpipe.schemas.records import F64, ObjectModel
+from spinpipe.schemas.records import F64, ObjectModel, TileIndex
 
+_LABELLED = ("verify/accepted", "verify/ambiguous")
 _STEPS_SHOWN = 40
+_FILL = 0.6
+_FAR_RADIUS = -1.5
+"""Negative: on the screen. Radii in metres shrink below a pixel from afar and lose colour."""
+_DOWN_DEG = 42.0
+_TAN_UP, _TAN_ACROSS = 0.48, 1.05
+"""Half the view's angles: Rerun opens 55 degrees upwards, and the views are wide."""
 
 
-def build_blueprint(read: Reader, timeline: str = "stage") -> rrb.Blueprint:
+def build_blueprint(read: Reader, preview_points: int, timeline: str = "stage") -> rrb.Blueprint:
     """Lay out the views of a run that has finished ``ingest``, with eyes that see the cloud.
 
     Parameters
     ----------
     read : reader of the run
+    preview_points : most points of the cloud that are shown
     timeline : the one that is active when a viewer opens the recording
     """
     tiles, models, upright = read(TILES)[0], read(MODELS), read(UPRIGHT)
-    T_world_local = upright[0].T_world_local if len(upright) else np.eye(4)
-    centre, extent = _bounds(tiles.low, tiles.high, T_world_local)
-    # the distance between neighbours, if the points lay on a flat square
-    spacing = float(np.sqrt(extent[0] * extent[1] / max(int(tiles.counts.sum()), 1)))
-    scene_eye, object_eye = _scene_eye(centre, extent), _object_eye(models)
+    corners = _corners(tiles, upright[0].T_world_local if len(upright) else np.eye(4))
+    scene_eye, object_eye = _scene_eye(corners), _object_eye(models)
+    # distance between neighbours, if the points lay on a flat square
+    shown = max(min(int(tiles.counts.sum()), preview_points), 1)
+    spacing = float(np.sqrt(np.ptp(corners, axis=0)[:2].prod() / shown))
+    far, near = (rr.Points3D.from_fields(radii=r) for r in (_FAR_RADIUS, _FILL * spacing))
     marks = ["+ /cluster/**", "+ /verify/**", "- /verify/fit/**"]
     return rrb.Blueprint(
         rrb.Horizontal(
@@ -46,14 +56,15 @@ def build_blueprint(read: Reader, timeline: str = "stage") -> rrb.Blueprint:
                     ],
                     WORLD,
                     scene_eye,
-                    rr.Points3D.from_fields(radii=-1.0),
+                    far,
                 ),
                 _view_3d(
                     "Correlation with the model's spin image",
                     ["+ /scan/correlation/**", *marks],
                     WORLD,
                     scene_eye,
-                    rr.Points3D.from_fields(radii=-1.0),
+                    far,
+                    labels=False,
                 ),
             ),
             rrb.Vertical(
@@ -63,7 +74,7 @@ def build_blueprint(read: Reader, timeline: str = "stage") -> rrb.Blueprint:
                         ["+ /ingest/cloud/**", "+ /verify/fit/**"],
                         CANDIDATE,
                         object_eye,
-                        rr.Points3D.from_fields(radii=0.6 * spacing),
+                        near,
                     ),
                     rrb.TextDocumentView(origin=NOTES, name="Notes"),
                 ),
@@ -87,7 +98,7 @@ def build_blueprint(read: Reader, timeline: str = "stage") -> rrb.Blueprint:
                 ),
                 row_shares=[5, 3, 4],
             ),
-            column_shares=[4, 3],
+            column_shares=[6, 5],
         ),
         rrb.TimePanel(timeline=timeline, state="expanded"),
         rrb.BlueprintPanel(state="collapsed"),
@@ -101,7 +112,9 @@ def _view_3d(
     frame: str,
     eye: rrb.EyeControls3D,
     default: rr.Points3D,
+    labels: bool = True,
 ) -> rrb.Spatial3DView:
+    unlabelled = rr.Boxes3D.from_fields(show_labels=False)
     return rrb.Spatial3DView(
         name=name,
         contents=contents,
@@ -110,6 +123,7 @@ def _view_3d(
         line_grid=False,
         eye_controls=eye,
         defaults=[default],
+        overrides={} if labels else dict.fromkeys(_LABELLED, unlabelled),
     )
 
 
@@ -150,25 +164,31 @@ def _residuals() -> rrb.Vertical:
     )
 
 
-def _bounds(low: np.ndarray, high: np.ndarray, T_world_local: F64) -> tuple[F64, F64]:
-    """Centre and extent of the cloud in the world, metres, from the bounds of its tiles."""
-    corners = np.array([low, high], np.float64)
-    grid = np.stack(np.meshgrid(*([[0, 1]] * 3), indexing="ij"), axis=-1).reshape(-1, 3)
-    points = np.concatenate([corners[g, :, np.arange(3)].T for g in grid])
-    world = points @ T_world_local[:3, :3].T + T_world_local[:3, 3]
-    return (world.min(axis=0) + world.max(axis=0)) / 2, np.ptp(world, axis=0)
+def _corners(tiles: TileIndex, T_world_local: F64) -> F64:
+    """(8, 3) corners of the cloud's bounding box in the world, metres."""
+    low, high = tiles.low.min(axis=0).tolist(), tiles.high.max(axis=0).tolist()
+    corners = np.array(list(product(*zip(low, high, strict=True))))
+    return corners @ T_world_local[:3, :3].T + T_world_local[:3, 3]
 
 
-def _scene_eye(centre: F64, extent: F64) -> rrb.EyeControls3D:
-    """Look down at the cloud across its longer side, so that it fills a wide view."""
-    along = 0 if extent[0] >= extent[1] else 1
-    length, depth = extent[along], extent[1 - along]
-    distance = max(0.45 * length, 0.75 * depth)
-    offset = np.array([0.0, 0.0, 0.9])
-    offset[1 - along] = -0.75
-    return rrb.EyeControls3D(
-        position=centre + distance * offset, look_target=centre, eye_up=(0.0, 0.0, 1.0)
-    )
+def _scene_eye(corners: F64) -> rrb.EyeControls3D:
+    """Look down at a box across its longer side, from as near as all its corners are in view."""
+    centre = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    length, width, height = np.ptp(corners, axis=0)
+    # what makes the box high is a tree or a pole, seldom in the corner next to the eye
+    low = corners - np.where(corners[:, 2:] > centre[2], (0, 0, 0.4 * height), 0)
+    right = np.array([1.0, 0.0, 0.0]) if length >= width else np.array([0.0, -1.0, 0.0])
+    ahead, down = np.cross([0.0, 0.0, 1.0], right), np.deg2rad(_DOWN_DEG)
+    forward = ahead * np.cos(down) - [0.0, 0.0, np.sin(down)]
+    eyes: list[tuple[float, F64, F64]] = []
+    for shift in np.linspace(0, 0.5, 11) * min(length, width):  # the near side looms larger
+        target = centre - shift * ahead
+        x, y, depth = ((low - target) @ a for a in (right, np.cross(right, forward), forward))
+        back = np.max(np.maximum(abs(x) / _TAN_ACROSS, abs(y) / _TAN_UP) - depth)
+        eye = target - back * forward
+        eyes.append((float((centre - eye) @ forward), eye, target))
+    _, eye, target = min(eyes, key=lambda view: view[0])
+    return rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0.0, 0.0, 1.0))
 
 
 def _object_eye(models: Sequence[ObjectModel]) -> rrb.EyeControls3D:

@@ -54,7 +54,7 @@ def draw_cluster(read: Reader, rec: rr.RecordingStream, preview_points: int) -> 
     place(rec, "cluster/candidate", WORLD)
     for cluster in shown:
         at_candidate(rec, cluster.id)
-        label = f"candidate {cluster.id}: {cluster.model}"
+        label = f"candidate {cluster.id}"
         rec.log(
             "cluster/candidate",
             rr.Points3D([cluster.position], colors=palette.MARK, radii=-6.0, labels=label),

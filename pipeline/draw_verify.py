@@ -156,14 +156,14 @@ def _summary(detections: Sequence[Detection]) -> str:
     lines = [
         "## " + ", ".join(f"{fates[fate]} {fate}" for fate in palette.FATES),
         "",
-        "| id | model | fate | score | x m | y m | heading | rms m |",
-        "|---|---|---|---|---|---|---|---|",
+        "| id | model | x m | y m | heading | score | fate |",
+        "|---|---|---|---|---|---|---|",
     ]
     for d in kept[:_NOTED]:
         x, y, _ = d.position_world
         lines.append(
-            f"| {d.cluster} | {d.model} | {d.fate} | {d.score:.2f} | {x:.2f} | {y:.2f} "
-            f"| {d.heading_deg:.0f}° | {d.rms_m:.3f} |"
+            f"| {d.cluster} | {d.model} | {x:.2f} | {y:.2f} | {d.heading_deg:.0f}° "
+            f"| {d.score:.2f} | {d.fate} |"
         )
     if len(kept) > _NOTED:
         lines.append(f"\n... and {len(kept) - _NOTED} more")

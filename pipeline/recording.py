@@ -78,7 +78,7 @@ def record_stage(stage: str, read: Reader, rec: rr.RecordingStream, preview_poin
 
     DRAW[stage](read, rec, preview_points)
     if stage in ("ingest", "ground"):  # the second time for the upright cloud
-        rec.send_blueprint(build_blueprint(read))
+        rec.send_blueprint(build_blueprint(read, preview_points))
 
 
 def close_recording(rec: rr.RecordingStream) -> None:

@@ -6,6 +6,7 @@ Needs a Vulkan driver; the software one of Mesa will do (``mesa-vulkan-drivers``
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import subprocess
 import time
@@ -66,6 +67,7 @@ def render(
         env={"XDG_RUNTIME_DIR": "/tmp", **os.environ, "RUST_LOG": "off"},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
+        start_new_session=True,
     )
     try:
         client = _connect(f"rerun+http://127.0.0.1:{port}/proxy")
@@ -76,7 +78,7 @@ def render(
         views = client.get_state().views
         return [f"{view.name}: {report.summary}" for view in views for report in view.reports]
     finally:
-        process.terminate()
+        os.killpg(process.pid, signal.SIGKILL)  # ``rerun`` is a script that starts the viewer
         process.wait()
 
 
