@@ -1,9 +1,9 @@
-"""Compiled spin scan: histograms and correlations at many origins.
+"""Spin images and correlations at many origins, by compiled kernels on several threads.
 
-Origins are taken in blocks of neighbours. A block collects the runs of points that any of its
-origins can reach; each origin then bins them in two loops, first the bin numbers of a run (which
-LLVM vectorises), then the counting. Counts are integers and equal those of the numpy twin
-``spin_image``; nothing depends on the order of points or origins or on the number of threads.
+Counts are integers and equal those of the numpy twin ``spin_image``; nothing depends on the order
+of points or origins, on the number of threads or on how origins are grouped. With a least
+correlation the scan also proves for whole groups of origins that none of them is a hit
+(``spin_pruning``) and gives the very hits of the exhaustive scan for less work.
 """
 
 from __future__ import annotations
@@ -15,25 +15,19 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from spinpipe.stages.spin_count import (
-    BUFFER,
-    COPIES,
-    LANES,
-    collect_runs,
-    count_origin,
-)
-from spinpipe.stages.spin_image import FLAT_VARIANCE, SpinGrid, SpinTemplate
+from spinpipe.stages.spin_count import IndexArrays, Templates
+from spinpipe.stages.spin_image import SpinGrid, SpinTemplate
 from spinpipe.stages.spin_index import SpinIndex, build_index
+from spinpipe.stages.spin_scan import count_blocks, scan_blocks
 
-__all__ = ["ScanWork", "SpinIndex", "build_index", "correlate", "histograms"]
+__all__ = ["BELOW", "ScanWork", "SpinIndex", "build_index", "correlate", "histograms"]
 
-BLOCK_M = 0.5
-"""Origins of one block lie in a square of this side."""
-BLOCK_ORIGINS = 256
-CHUNK_ORIGINS = 4096
+BELOW = np.float32(-1)
+"""Stands for every correlation below the least one asked for."""
+
+CHUNK_ORIGINS = 8192
 """Origins handed to a thread at once."""
 
 T = TypeVar("T")
@@ -46,7 +40,11 @@ class ScanWork:
 
     origins: int = 0
     visits: int = 0
-    """Points whose bin was computed."""
+    """Points binned, for origins and for tests of groups."""
+    tests: int = 0
+    """Groups of origins tested."""
+    scanned: int = 0
+    """Origins whose spin image was made."""
 
 
 def histograms(index: SpinIndex, origins: NDArray[Any], grid: SpinGrid) -> NDArray[np.uint32]:
@@ -63,11 +61,9 @@ def histograms(index: SpinIndex, origins: NDArray[Any], grid: SpinGrid) -> NDArr
     -------
     (M, rows, cols) uint32 array
     """
-    blocks = OriginBlocks.of(origins)
+    blocks = OriginBlocks.of(origins, grid.radius_m / 5, 256)
     images = np.zeros((len(blocks.order), grid.k), np.uint32)
-    tables = scan_tables([], [grid])
-    unused = np.zeros((0, len(blocks.order)), np.float32)
-    _scan_blocks(*index_arrays(index), *blocks.arrays, 0, blocks.count, *tables, unused, images)
+    count_blocks(_arrays(index), *blocks.arrays, _tables([], [grid], None), images)
     return images.reshape(-1, *grid.shape)
 
 
@@ -77,6 +73,7 @@ def correlate(
     templates: Sequence[SpinTemplate],
     threads: int = 1,
     *,
+    min_correlation: float | None = None,
     advance: Callable[[int], None] | None = None,
     work: ScanWork | None = None,
 ) -> NDArray[np.float32]:
@@ -92,6 +89,10 @@ def correlate(
     templates : sequence of SpinTemplate
     threads : int
         Threads to use; the result is the same for any number.
+    min_correlation : float, optional
+        Find only correlations of at least this (positive, compared as float32): the others are
+        given as ``BELOW``, and whole groups of origins are skipped where they provably are. The
+        exhaustive scan if not given.
     advance : callable, optional
         Told, in the calling thread, how many more origins are done.
     work : ScanWork, optional
@@ -104,25 +105,36 @@ def correlate(
     Raises
     ------
     ValueError
-        An origin is not finite.
+        An origin is not finite, or the least correlation is not positive.
     """
-    blocks = OriginBlocks.of(origins)
-    tables = scan_tables(templates, list(dict.fromkeys(t.grid for t in templates)))
-    found = np.zeros((len(templates), len(blocks.order)), np.float32)
+    if min_correlation is not None and not min_correlation > 0:
+        raise ValueError(f"correlate: min_correlation is {min_correlation}; it must be positive")
+    grids = list(dict.fromkeys(t.grid for t in templates))
+    radius = max((g.radius_m for g in grids), default=1.0)
+    if min_correlation is None:
+        blocks = OriginBlocks.of(origins, radius / 5, 256)
+    else:
+        blocks = OriginBlocks.of(origins, radius / 2.5, 4096)
+    found = np.full((len(templates), len(blocks.order)), BELOW)
     if not templates:
         return found
-    no_images = np.zeros((0, 0), np.uint32)
+    arrays, tables = _arrays(index), _tables(templates, grids, min_correlation)
 
-    def scan(chunk: tuple[int, int]) -> tuple[int, int]:
-        visits = _scan_blocks(
-            *index_arrays(index), *blocks.arrays, *chunk, *tables, found, no_images
-        )
-        return int(blocks.start[chunk[1]] - blocks.start[chunk[0]]), int(visits)
+    def scan(chunk: tuple[int, int]) -> tuple[int, NDArray[np.int64]]:
+        first, last = chunk
+        origins, order, start = blocks.arrays
+        cost = scan_blocks(
+            arrays, origins, order, start[first : last + 1], tables, min_correlation is not None,
+            found,
+        )  # fmt: skip
+        return int(start[last] - start[first]), cost
 
-    for count, visits in map_threads(scan, blocks.chunks(), threads):
+    for count, (visits, tests, scanned) in map_threads(scan, blocks.chunks(), threads):
         if work is not None:
             work.origins += count
-            work.visits += visits
+            work.visits += int(visits)
+            work.tests += int(tests)
+            work.scanned += int(scanned)
         if advance is not None:
             advance(count)
     return found
@@ -147,19 +159,19 @@ class OriginBlocks:
     start: NDArray[np.int64]
 
     @classmethod
-    def of(cls, origins: NDArray[Any]) -> OriginBlocks:
-        """Group origins by squares of ``BLOCK_M``, at most ``BLOCK_ORIGINS`` together."""
+    def of(cls, origins: NDArray[Any], side_m: float, most: int) -> OriginBlocks:
+        """Group origins by squares of ``side_m``, at most ``most`` of like height together."""
         points = np.ascontiguousarray(np.asarray(origins, dtype=np.float32).reshape(-1, 3))
         if not np.isfinite(points).all():
             raise ValueError("scan: origins hold NaN or infinite coordinates; drop them")
-        squares = np.floor(points[:, :2].astype(np.float64) / BLOCK_M)
+        squares = np.floor(points[:, :2].astype(np.float64) / side_m)
         order = np.lexsort((points[:, 2], squares[:, 1], squares[:, 0]))
         ordered = squares[order]
         fresh = np.ones(len(points), bool)
         fresh[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
         first = np.flatnonzero(fresh)
         rank = np.arange(len(points)) - np.repeat(first, np.diff(np.r_[first, len(points)]))
-        start = np.r_[np.flatnonzero(rank % BLOCK_ORIGINS == 0), len(points)]
+        start = np.r_[np.flatnonzero(rank % most == 0), len(points)]
         return cls(points, order, start)
 
     @property
@@ -168,7 +180,7 @@ class OriginBlocks:
         return len(self.start) - 1
 
     @property
-    def arrays(self) -> tuple[NDArray[Any], ...]:
+    def arrays(self) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
         """Origins, order and starts for the kernels."""
         return self.origins, self.order, self.start
 
@@ -197,102 +209,27 @@ def map_threads(function: Callable[[T], R], items: Iterable[T], threads: int) ->
             yield waiting.popleft().result()
 
 
-def index_arrays(index: SpinIndex) -> tuple[Any, ...]:
-    """Return what the kernels take of an index."""
-    return (
-        index.xyz, index.start, index.key, index.bounds, index.corner, index.cells, index.cell_m,
-    )  # fmt: skip
+def _arrays(index: SpinIndex) -> IndexArrays:
+    return IndexArrays(
+        index.xyz, index.start, index.key, index.bounds, index.corner, index.cells, index.cell_m
+    )
 
 
-def scan_tables(
-    templates: Sequence[SpinTemplate], grids: Sequence[SpinGrid]
-) -> tuple[NDArray[Any], ...]:
-    """Grids and templates as arrays.
-
-    Returns
-    -------
-    tuple
-        Grids' float32 numbers (G, 3) (radius_sq, height, bins_per_m) and sizes (G, 2) (cols, k);
-        each template's grid (T,); weights, and weights times unit values, (T, widest k) float64,
-        zero beyond a template's own k.
-    """
-    numbers = np.array([[g.radius_sq, g.height, g.bins_per_m] for g in grids], np.float32)
-    sizes = np.array([[g.cols, g.k] for g in grids], np.int64)
-    widest = -(-max((g.k for g in grids), default=0) // LANES) * LANES
-    weights = np.zeros((len(templates), widest))
-    values = np.zeros((len(templates), widest))
+def _tables(
+    templates: Sequence[SpinTemplate], grids: Sequence[SpinGrid], least: float | None
+) -> Templates:
+    """Grids and templates as arrays for the kernels."""
+    widest = max(g.k for g in grids)
+    weights, values = np.zeros((2, len(templates), widest))
     for row, template in enumerate(templates):
         w = template.unit_weights()
         weights[row, : len(w)] = w
         values[row, : len(w)] = w * template.unit_values()
-    grid_of = np.array([grids.index(t.grid) for t in templates], np.int64)
-    return numbers.reshape(-1, 3), sizes.reshape(-1, 2), grid_of, weights, values
-
-
-@njit(cache=True, nogil=True)
-def _correlation(image, weights, values):
-    """Pearson correlation of counts with a template of unit variance, summed in fixed lanes."""
-    mean = np.zeros(8)
-    square = np.zeros(8)
-    product = np.zeros(8)
-    for i in range(0, len(weights), 8):
-        for lane in range(8):
-            c = np.float64(image[i + lane])
-            wc = weights[i + lane] * c
-            mean[lane] += wc
-            square[lane] += wc * c
-            product[lane] += values[i + lane] * c
-    m, s, p = mean.sum(), square.sum(), product.sum()
-    variance = s - m * m
-    if variance <= FLAT_VARIANCE * s:
-        return np.float32(0)
-    return np.float32(min(max(p / np.sqrt(variance), -1.0), 1.0))
-
-
-@njit(cache=True, nogil=True)
-def _scan_blocks(
-    xyz, start, key, bounds, corner, cells, cell_m,
-    origins, order, block_start, first_block, last_block,
-    grid_numbers, grid_sizes, grid_of, weights, values, found, images,
-):  # fmt: skip
-    """Scan blocks of origins: correlations into ``found``, counts into ``images`` if it has rows.
-
-    Returns the number of points visited.
-    """
-    radius = np.sqrt(grid_numbers[:, 0].max())
-    height = grid_numbers[:, 1].max()
-    widest = max(grid_sizes[:, 1].max(), weights.shape[1])
-    side = np.int64((2 * radius + BLOCK_M) / cell_m) + 4
-    cap = min(len(key), side * side)
-    runs = np.empty((2, cap), np.int64)
-    limits = np.empty((6, cap), np.float32)
-    near = np.empty(cap, np.float32)
-    numbers = np.empty(BUFFER + LANES, np.uint16)
-    counts = np.empty((COPIES, widest + LANES), np.uint32)
-    image = np.zeros(widest, np.uint32)
-    box = np.empty(6, np.float32)
-    visits = 0
-    for block in range(first_block, last_block):
-        members = order[block_start[block] : block_start[block + 1]]
-        for axis in range(3):
-            box[2 * axis] = origins[members, axis].min()
-            box[2 * axis + 1] = origins[members, axis].max()
-        reached = collect_runs(
-            xyz, start, key, bounds, corner, cells, cell_m, box, radius, height, runs, limits
-        )
-        for o in members:
-            for g in range(len(grid_sizes)):
-                cols, bins = grid_sizes[g]
-                image[bins:] = 0
-                visits += count_origin(
-                    xyz, runs, limits, reached, near,
-                    origins[o, 0], origins[o, 1], origins[o, 2],
-                    grid_numbers[g, 0], grid_numbers[g, 1], grid_numbers[g, 2],
-                    np.int32(cols), np.int32(bins), numbers, counts, image,
-                )  # fmt: skip
-                for t in range(len(grid_of)):
-                    if grid_of[t] == g:
-                        found[t, o] = _correlation(image, weights[t], values[t])
-                if len(images) > 0:
-                    images[o] = image[:bins]
-    return visits
+    return Templates(
+        np.array([[g.radius_sq, g.height, g.bins_per_m] for g in grids], np.float32),
+        np.array([g.shape for g in grids], np.int32),
+        np.array([grids.index(t.grid) for t in templates], np.int64),
+        weights,
+        values,
+        np.full(len(templates), BELOW if least is None else least, np.float32),
+    )

@@ -1,0 +1,416 @@
+"""Exact pruning of the spin scan: proof that no origin of a group can be a hit.
+
+Let ``c`` be the counts at an origin, ``t`` the template with weighted mean 0 and variance 1, ``w``
+the weights (sum 1), ``q`` the least correlation of a hit. A hit has ``<t, c> >= q std(c)`` where
+``<a, b> = sum w a b``. For any image ``s`` with mean 0 and variance 1, Cauchy and Schwarz give
+``std(c) >= <s, c>``; so a hit has ``<t - q s, c> >= 0``, a sum over points of the value
+``f = w (t - q s)`` of their bins.
+
+For a group of neighbouring origins each point's bin is known up to the group's extent: a point at
+distance ``a`` and depth ``b`` from the group's middle lies, seen from any of the origins, within
+``a -+ d`` and ``b -+ e``. Taking for every point the largest ``f`` over those bins (0 if it may
+lie outside the image) bounds the sum for all origins at once; a bound below 0 proves that none of
+them is a hit. Any ``s`` is right; the best is the group's own mean image, brought to mean 0 and
+variance 1: the better the images of a group agree, the tighter the bound.
+
+Points are counted by class, the pair of first and last bin that they may reach along each axis.
+With ``j = floor(v - d)`` and ``k = floor(v + d)``, ``k - j`` is ``D`` or ``D + 1``, ``D =
+floor(2 d)``, so that the sum ``j + k`` names the pair.
+"""
+# pyright: basic
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from spinpipe.stages.spin_count import BUFFER, LANES, correlate_origin, depth_window, grid_bins
+
+MAX_SHIFT_BINS = 3.0
+"""Groups are tested from this reach ``d`` on; wider ones are split first."""
+MAX_LIFT_BINS = 1.0
+"""The same for ``e``."""
+LIFT_WEIGHT = 6.0
+"""How much sooner a group is split by height than by width."""
+MIN_GROUP = 4
+"""Smaller groups are scanned origin by origin."""
+TEST_COST = 4000
+"""What a test costs beside its visits, in visits."""
+MARGIN_BINS = 1e-3
+"""Widening of ``d`` and ``e``, far above the rounding of float32 bin coordinates."""
+ROUNDING = 1e-5
+"""Part of the sum of magnitudes that its rounding stays below."""
+LOWERED = 1e-6
+"""Lowering of the least correlation, above the rounding of a correlation to float32."""
+COPIES = 2
+"""Interleaved tallies, see ``spin_count.COPIES``."""
+_NEVER = np.float32(-3e38)
+STACK = 160
+"""Groups waiting at once: halving float32 extents and counts ends before that depth."""
+
+
+class Classes(NamedTuple):
+    """How the points around a group are numbered.
+
+    Row and column coordinates are shifted by whole bins to stay positive. A class number is
+    ``(row class - base) * 2 * half + (col class odd) * half + col class // 2``.
+    """
+
+    d: np.float32
+    e: np.float32
+    shift_col: np.int32
+    shift_row: np.int32
+    base: np.int32
+    rows: np.int32
+    half: np.int32
+
+
+class TestScratch(NamedTuple):
+    """Memory of one thread for tests: of the largest grid and the widest group."""
+
+    numbers: NDArray[np.uint32]
+    tallies: NDArray[np.uint32]
+    middle: NDArray[np.float32]
+    value: NDArray[np.float32]
+    largest: NDArray[np.float32]
+    line: NDArray[np.float32]
+    total: NDArray[np.float32]
+
+
+@njit(cache=True, nogil=True)
+def _widened(extent, bins):
+    """Add the margin to a reach in bins, such that twice it is no whole number."""
+    reach = extent + MARGIN_BINS + 1e-6 * bins
+    part = 2 * reach - np.floor(2 * reach)
+    if part < 0.01:
+        reach += 0.005
+    elif part > 0.99:
+        reach += 0.01
+    return reach
+
+
+@njit(cache=True, nogil=True)
+def _classes(rows, cols, d, e):
+    """Lay out the classes of a group with reaches ``d`` and ``e``, in bins."""
+    D, E = np.int64(2 * d), np.int64(2 * e)
+    shift_col, shift_row = D // 2 + 2, E + 2
+    half = (cols + D + shift_col + 3 + LANES - 1) // LANES * LANES
+    return Classes(
+        np.float32(d), np.float32(e), np.int32(shift_col), np.int32(shift_row),
+        np.int32(2 * shift_row - E - 2), np.int32(2 * rows + 2 * E + 6), np.int32(half),
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def make_test_scratch(sizes):
+    """Allocate what tests need for grids of these sizes."""
+    tallies = half = rows = 1
+    for g in range(len(sizes)):
+        widest = _classes(
+            np.int64(sizes[g, 0]), np.int64(sizes[g, 1]), MAX_SHIFT_BINS + 1, MAX_LIFT_BINS + 1
+        )
+        tallies = max(tallies, np.int64(widest.rows) * 2 * widest.half)
+        half, rows = max(half, widest.half), max(rows, np.int64(sizes[g, 0]))
+    return TestScratch(
+        np.empty(BUFFER, np.uint32),
+        np.empty((COPIES, tallies + LANES), np.uint32),
+        np.empty((rows, half), np.float32),
+        np.empty((rows, 2 * half), np.float32),
+        np.empty((2, rows, half), np.float32),
+        np.empty(half, np.float32),
+        np.empty(half, np.float32),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _number_classes(x, y, z, mx, my, mz, reach_sq, scale, bottom, classes, numbers):
+    """Class number of each point, past the last class for those out of reach (vectorised)."""
+    d, e, base, half = classes.d, classes.e, classes.base, classes.half
+    shift_col, shift_row = np.float32(classes.shift_col), np.float32(classes.shift_row)
+    outside = classes.rows * (half + half)
+    for i in range(len(x)):
+        dx = x[i] - mx
+        dy = y[i] - my
+        a2 = dx * dx + dy * dy
+        v = np.sqrt(a2) * scale + shift_col
+        u = (mz - z[i]) * scale + shift_row
+        col = np.int32(v + d) + np.int32(v - d)
+        row = np.int32(u + e) + np.int32(u - e) - base
+        number = row * (half + half) + (col & np.int32(1)) * half + (col >> np.int32(1))
+        inside = (a2 < reach_sq) & (u + e >= shift_row) & (u - e < bottom)
+        numbers[i] = np.uint32(number if inside else outside + np.int32(i & (LANES - 1)))
+
+
+@njit(cache=True, nogil=True)
+def _count_classes(near, begin, end, mx, my, mz, reach_sq, bins, classes, scratch):
+    """Count the classes of ``near[begin:end]`` into ``scratch.tallies[0]``; return their sum."""
+    size = np.int64(classes.rows) * 2 * classes.half
+    bottom = np.float32(bins.height * bins.scale + classes.shift_row + MARGIN_BINS)
+    scratch.tallies[:, : size + LANES] = 0
+    t0, t1 = scratch.tallies[0], scratch.tallies[1]
+    for at in range(begin, end, BUFFER):
+        n = min(end - at, BUFFER)
+        whole = (n + LANES - 1) // LANES * LANES
+        numbers = scratch.numbers[:whole]
+        _number_classes(
+            near.x[at : at + whole], near.y[at : at + whole], near.z[at : at + whole],
+            mx, my, mz, reach_sq, bins.scale, bottom, classes, numbers,
+        )  # fmt: skip
+        for j in range(0, n // 2 * 2, 2):
+            t0[numbers[j]] += np.uint32(1)
+            t1[numbers[j + 1]] += np.uint32(1)
+        if n % 2:
+            t0[numbers[n - 1]] += np.uint32(1)
+    total = np.int64(0)
+    for i in range(size):
+        t0[i] += t1[i]
+        total += t0[i]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _mean_image(classes, rows, cols, scratch):
+    """Spread the classes evenly over their bins: about the mean of the group's images."""
+    half, shift = np.int64(classes.half), np.int64(classes.shift_col)
+    middle, line = scratch.middle, scratch.line
+    middle[:rows, :cols] = np.float32(0)
+    share = np.float32(0.5)
+    for row in range(classes.rows):
+        pair = row + classes.base
+        bin_row = (pair >> 1) - classes.shift_row
+        if bin_row < -1 or bin_row >= rows:
+            continue
+        at = np.int64(row) * 2 * half
+        even, odd = scratch.tallies[0, at : at + half], scratch.tallies[0, at + half :]
+        before = scratch.tallies[0, at + half + shift - 1 :]
+        even, odd = even[shift:], odd[shift:]
+        for c in range(cols):
+            line[c] = np.float32(even[c]) + share * (np.float32(odd[c]) + np.float32(before[c]))
+        part = share if pair & 1 else np.float32(1)
+        if bin_row >= 0:
+            for c in range(cols):
+                middle[bin_row, c] += part * line[c]
+        if pair & 1 and bin_row + 1 < rows:
+            for c in range(cols):
+                middle[bin_row + 1, c] += part * line[c]
+
+
+@njit(cache=True, nogil=True)
+def _bin_values(bins, weights, values, least, shift, scratch):
+    """Fill ``f``, shifted by ``shift`` columns; return its sum over the mean image and its size."""
+    rows, cols = np.int64(bins.rows), np.int64(bins.cols)
+    middle = scratch.middle
+    mean = square = product = 0.0
+    for r in range(rows):
+        for c in range(cols):
+            m, w = np.float64(middle[r, c]), weights[r * cols + c]
+            mean += w * m
+            square += w * m * m
+            product += values[r * cols + c] * m
+    deviation = np.sqrt(max(square - mean * mean, 0.0))
+    factor = least / deviation if deviation > 1e-4 * np.sqrt(square) else 0.0
+    largest = np.float32(0)
+    scratch.value[:rows] = np.float32(0)
+    scratch.value[:rows, :shift] = _NEVER
+    for r in range(rows):
+        line = scratch.value[r, shift:]
+        for c in range(cols):
+            i = r * cols + c
+            line[c] = np.float32(values[i] - weights[i] * factor * (middle[r, c] - mean))
+            largest = max(largest, abs(line[c]))
+    # The last row and column may reach beyond the image.
+    if bins.height * bins.scale < rows - MARGIN_BINS:
+        for c in range(cols):
+            scratch.value[rows - 1, shift + c] = max(
+                scratch.value[rows - 1, shift + c], np.float32(0)
+            )
+    if np.sqrt(bins.radius_sq) * bins.scale < cols - MARGIN_BINS:
+        for r in range(rows):
+            scratch.value[r, shift + cols - 1] = max(
+                scratch.value[r, shift + cols - 1], np.float32(0)
+            )
+    return product - least * deviation, np.float64(largest)
+
+
+@njit(cache=True, nogil=True)
+def _upper_bound(classes, rows, scratch):
+    """Sum over all points of the largest ``f`` that each may get."""
+    half = np.int64(classes.half)
+    D, E = np.int64(2 * classes.d), np.int64(2 * classes.e)
+    largest = scratch.largest
+    for odd in range(2):
+        # Class 2 i + odd spans the columns first .. first + span.
+        span = D + ((odd - D) & 1)
+        back = (span - odd) // 2
+        for r in range(rows):
+            line = largest[odd, r, :half]
+            line[:] = _NEVER
+            for step in range(span + 1):
+                skip = max(0, back - step)
+                value = scratch.value[r, max(0, step - back) :]
+                ahead = line[skip:]
+                for i in range(len(ahead)):
+                    ahead[i] = max(ahead[i], value[i])
+    total, line = scratch.total[:half], scratch.line[:half]
+    total[:] = np.float32(0)
+    for row in range(classes.rows):
+        pair = np.int64(row + classes.base)
+        span = E + ((pair - E) & 1)
+        first = (pair - span) // 2 - classes.shift_row
+        beyond = first < 0 or first + span >= rows
+        for odd in range(2):
+            at = (np.int64(row) * 2 + odd) * half
+            tally = scratch.tallies[0, at : at + half]
+            line[:] = np.float32(0) if beyond else _NEVER
+            for r in range(max(first, 0), min(first + span, rows - 1) + 1):
+                best = largest[odd, r, :half]
+                for i in range(half):
+                    line[i] = max(line[i], best[i])
+            for i in range(half):
+                total[i] += np.float32(tally[i]) * line[i]
+    bound = 0.0
+    for i in range(half):
+        bound += total[i]
+    return bound
+
+
+@njit(cache=True, nogil=True)
+def search_group(near, origins, members, templates, scratch, tests, found, work):
+    """Find the hits among the origins ``members`` (reordered); others stay as they are.
+
+    ``found`` (T, M) receives correlations of at least ``templates.least``; ``work`` (3,) counts
+    visits, tests and origins scanned.
+    """
+    T = len(templates.grid_of)
+    ranges = np.empty((STACK, 2), np.int64)
+    limits = np.empty(STACK)
+    alive = np.empty((STACK, T), np.bool_)
+    wanted = np.empty(T, np.bool_)
+    result = np.empty(T, np.float32)
+    box = np.empty(6, np.float32)
+    ranges[0, 0], ranges[0, 1] = 0, len(members)
+    limits[0] = np.inf
+    alive[0] = True
+    depth = 1
+    while depth > 0:
+        depth -= 1
+        begin, end = ranges[depth]
+        limit = limits[depth]
+        wanted[:] = alive[depth]
+        for axis in range(3):
+            low = high = origins[members[begin], axis]
+            for i in range(begin + 1, end):
+                value = origins[members[i], axis]
+                low, high = min(low, value), max(high, value)
+            box[2 * axis], box[2 * axis + 1] = low, high
+        split = end - begin >= MIN_GROUP
+        if split:
+            ratio = _test(near, box, end - begin, limit, templates, wanted, tests, work)
+            if not wanted.any():
+                continue
+            # What a smaller group would need to be provable has too few origins to pay.
+            split = (end - begin) * ratio * ratio >= MIN_GROUP
+            if ratio < 1.0:
+                limit = ratio * _extent(box)
+        if not split:
+            for i in range(begin, end):
+                o = members[i]
+                x, y, z = origins[o]
+                work[0] += correlate_origin(near, x, y, z, templates, wanted, scratch, result)
+                work[2] += 1
+                for t in range(T):
+                    if wanted[t] and result[t] >= templates.least[t]:
+                        found[t, o] = result[t]
+            continue
+        middle = _split(origins, members, begin, end, box)
+        for part in range(2):
+            ranges[depth, 0] = begin if part == 0 else middle
+            ranges[depth, 1] = middle if part == 0 else end
+            limits[depth] = limit
+            alive[depth] = wanted
+            depth += 1
+
+
+@njit(cache=True, nogil=True)
+def _extent(box):
+    """Size of a group as far as tests are concerned."""
+    width = np.hypot(np.float64(box[1] - box[0]), np.float64(box[3] - box[2]))
+    return width + LIFT_WEIGHT * np.float64(box[5] - box[4])
+
+
+@njit(cache=True, nogil=True)
+def _split(origins, members, begin, end, box):
+    """Reorder ``members[begin:end]`` into two halves of its longest side; return the border."""
+    width, depth = box[1] - box[0], box[3] - box[2]
+    height = (box[5] - box[4]) * np.float32(LIFT_WEIGHT)
+    axis = 0 if width >= depth and width >= height else 1 if depth >= height else 2
+    level = (box[2 * axis] + box[2 * axis + 1]) * np.float32(0.5)
+    i, j = begin, end - 1
+    while i <= j:
+        if origins[members[i], axis] < level:
+            i += 1
+        else:
+            members[i], members[j] = members[j], members[i]
+            j -= 1
+    return i if begin < i < end else (begin + end) // 2
+
+
+@njit(cache=True, nogil=True)
+def _test(near, box, count, limit, templates, wanted, tests, work):
+    """Clear ``wanted`` for the templates that no origin in ``box`` can hit.
+
+    Returns the part of its size at which the group might be provable: 1 if it was not tested.
+    """
+    if _extent(box) > limit:
+        return 1.0
+    half = np.float32(0.5)
+    mx, my, mz = (box[0] + box[1]) * half, (box[2] + box[3]) * half, (box[4] + box[5]) * half
+    dx = np.float64(max(box[1] - mx, mx - box[0]))
+    dy = np.float64(max(box[3] - my, my - box[2]))
+    dz = np.float64(max(box[5] - mz, mz - box[4]))
+    shift = np.sqrt(dx * dx + dy * dy)
+    ratio = 2.0
+    for g in range(len(templates.sizes)):
+        any_wanted = False
+        for t in range(len(wanted)):
+            any_wanted |= wanted[t] and templates.grid_of[t] == g
+        if not any_wanted:
+            continue
+        bins = grid_bins(templates, g)
+        rows, cols = np.int64(bins.rows), np.int64(bins.cols)
+        d, e = _widened(shift * bins.scale, cols), _widened(dz * bins.scale, rows)
+        begin, end = depth_window(near, box[4], box[5], bins.height)
+        if d > MAX_SHIFT_BINS or e > MAX_LIFT_BINS:
+            return 1.0
+        if count * (end - begin) < 2 * (end - begin + TEST_COST):
+            return 0.0
+        classes = _classes(rows, cols, d, e)
+        reach = (np.sqrt(np.float64(bins.radius_sq)) + shift) * (1 + 1e-5)
+        total = _count_classes(
+            near, begin, end, mx, my, mz, np.float32(reach * reach), bins, classes, tests
+        )
+        work[0] += end - begin
+        work[1] += 1
+        if total > 0:
+            _mean_image(classes, rows, cols, tests)
+        for t in range(len(wanted)):
+            if wanted[t] and templates.grid_of[t] == g:
+                if total == 0:
+                    wanted[t] = False
+                    continue
+                k = rows * cols
+                central, largest = _bin_values(
+                    bins, templates.weights[t, :k], templates.values[t, :k],
+                    np.float64(templates.least[t]) - LOWERED, classes.shift_col, tests,
+                )  # fmt: skip
+                upper = _upper_bound(classes, rows, tests)
+                if upper < -ROUNDING * largest * total:
+                    wanted[t] = False
+                elif central < 0:
+                    ratio = min(ratio, -central / (upper - central))
+                else:
+                    ratio = min(ratio, 0.5)
+    return min(ratio, 1.0)
