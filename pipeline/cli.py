@@ -168,6 +168,22 @@ def evaluate(
     eval_command(folder, truth, radius, rule, frame.value, json, picture)
 
 
+@app.command()
+def plant(
+    path: Annotated[
+        Path, typer.Argument(metavar="CONFIG|RUN", help="A config, or the folder of its run.")
+    ],
+    count: Annotated[int, typer.Option(min=1, max=100_000, help="Objects to plant.")] = 50,
+    seed: Annotated[int, typer.Option(min=0, help="Of where they stand.")] = 0,
+    picture: Annotated[bool, typer.Option(help="Draw RUN/plant/plant.png.")] = True,
+    rerun: RerunOption = RerunMode.off,
+) -> None:
+    """Plant the models into their scene and look for them: recall without labels."""
+    from spinpipe.pipeline.plant import plant_command
+
+    plant_command(path, count, seed, picture, rerun.value)
+
+
 model_app = typer.Typer(no_args_is_help=True, help="Make models of objects.")
 app.add_typer(model_app, name="model")
 

@@ -84,7 +84,7 @@ def cut_model(
     rows = np.empty(0, np.int64)
     if len(xyz):
         rows, pose = cut_instance(xyz, centre, size, heading_world, base_z)
-        xyz = transform(np.linalg.inv(pose), xyz[rows])
+        xyz = transform(np.asarray(np.linalg.inv(pose), np.float64), xyz[rows])
     if len(rows) < MIN_POINTS:
         where = ",".join(f"{v:g}" for v in at)
         raise StageError(

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.stages.frames import transform, yaw_matrix
-from spinpipe.stages.ground_grid import GroundGrid, ground_grid
+from spinpipe.stages.ground_grid import GroundGrid, ground_grid, ground_spread
 
 F64 = NDArray[np.float64]
 
@@ -15,6 +15,8 @@ CELLS_ACROSS = 8
 GROUND_SHARE = 0.05
 """Least height above the ground that is kept, as a share of the box's height: what lies lower
 cannot be told from uneven ground."""
+MOST_GROUND_SHARE = 0.15
+"""Greatest height that still is taken for uneven ground, as a share of the box's height."""
 
 
 def around_box(centre: F64, size: F64) -> tuple[F64, F64]:
@@ -68,7 +70,9 @@ def cut_instance(
     in_object = transform(_inverse(pose), points)
     inside = np.all(np.abs(in_object[:, :2]) <= size[:2] / 2, axis=1) & (in_object[:, 2] <= size[2])
     above_ground = points[:, 2] - grid.heights(points[:, :2])
-    inside &= np.minimum(above_ground, in_object[:, 2]) > _ground_noise(grid, points, size)
+    height = float(size[2])
+    clear_m = ground_spread(grid, [points], GROUND_SHARE * height, MOST_GROUND_SHARE * height)
+    inside &= np.minimum(above_ground, in_object[:, 2]) > clear_m
     return np.flatnonzero(inside), pose
 
 
@@ -81,20 +85,6 @@ def _ground_below(grid: GroundGrid, pose: F64, size: F64) -> float:
     beside = (outside > 0) & (outside < min(size[:2]) / 2) & grid.seen.ravel()
     heights = grid.height.ravel()[beside]
     return float(np.median(heights)) if len(heights) else float(grid.heights(pose[None, :2, 3])[0])
-
-
-def _ground_noise(grid: GroundGrid, points: NDArray[np.floating], size: F64) -> float:
-    """Height up to which points above the lowest of their cell still belong to the ground.
-
-    Three times the robust spread of the ground points above the lowest one of their cell, at
-    least ``GROUND_SHARE`` of the box's height.
-    """
-    cells, inside = grid.cells(points[:, :2])
-    above = points[:, 2] - grid.height[cells[:, 0], cells[:, 1]]
-    least = GROUND_SHARE * float(size[2])
-    ground = above[inside & grid.seen[cells[:, 0], cells[:, 1]] & (above < 5.0 * least)]
-    spread = 3.0 * float(np.median(ground)) if len(ground) else 0.0
-    return float(np.clip(spread, least, 3.0 * least))
 
 
 def _inverse(T: F64) -> F64:

@@ -81,6 +81,24 @@ def ground_grid(
     return GroundGrid(np.asarray(low, np.float64), cell_m, _from_nearest(lowest, seen), seen)
 
 
+def ground_spread(
+    grid: GroundGrid, pieces: Iterable[NDArray[np.floating]], least_m: float, most_m: float
+) -> float:
+    """Height above the grid below which points belong to the ground: uneven, or measured badly.
+
+    The 99th percentile of the points over seen ground that lie below ``most_m``, but at least
+    ``least_m``.
+    """
+    heights = [np.empty(0)]
+    for xyz in pieces:
+        cells, inside = grid.cells(xyz[:, :2])
+        above = xyz[:, 2] - grid.height[cells[:, 0], cells[:, 1]]
+        on_ground = inside & grid.seen[cells[:, 0], cells[:, 1]] & (above < most_m)
+        heights.append(above[on_ground].astype(np.float64))
+    above = np.concatenate(heights)
+    return max(least_m, float(np.percentile(above, 99)) if len(above) else 0.0)
+
+
 def _from_nearest(values: F64, known: NDArray[np.bool_]) -> F64:
     """Values of the nearest known cell."""
     nearest = cast(
