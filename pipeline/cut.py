@@ -6,7 +6,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-from plyfile import PlyData, PlyElement
 from pydantic import ValidationError
 from rich.console import Console
 
@@ -21,6 +20,7 @@ from spinpipe.stages.frames import transform, world_from_scene
 from spinpipe.stages.neighbourhood import WorldCloud
 from spinpipe.stages.object_model import ModelConfig
 from spinpipe.stages.stage import StageError
+from spinpipe.stages.write_ply import cloud_rows, write_ply
 
 MIN_POINTS = 100
 """Fewer points say little about a shape."""
@@ -119,14 +119,10 @@ def _inside(cloud: WorldCloud, low: F64, high: F64) -> tuple[F64, U8]:
 
 
 def _write(path: Path, name: str, xyz: F64, rgb: U8) -> None:
-    fields = [(a, "<f4") for a in "xyz"] + [(c, "u1") for c in ("red", "green", "blue")]
-    rows = np.empty(len(xyz), fields)
-    rows["x"], rows["y"], rows["z"] = xyz.T
-    rows["red"], rows["green"], rows["blue"] = rgb.T
     comment = f"{name}: cut from a scene, object frame, metres, z up, front at +x"
-    data = PlyData([PlyElement.describe(rows, "vertex")], byte_order="<", comments=[comment])
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, lambda partial: data.write(str(partial)))
+    rows = cloud_rows(xyz, rgb)
+    write_atomically(path, lambda partial: write_ply(partial, rows, comment=comment))
 
 
 def _numbers(text: str, option: str, counts: tuple[int, ...], form: str) -> list[float]:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import csv
+from functools import partial
 from io import StringIO
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
-from plyfile import PlyData, PlyElement
 
 from spinpipe.pipeline.atomic import write_atomically
 from spinpipe.stages.artificial import SEED, ArtificialScene, make_scene
+from spinpipe.stages.write_ply import cloud_rows, write_ply
 
 SCENE_POINTS = 250_000
 """[Bovenkamp 2010, section 3.1]."""
@@ -47,9 +47,10 @@ def write_example(
     """Write scene.ply, model_1.ply, model_2.ply and truth.csv: the same bytes every time."""
     folder.mkdir(parents=True, exist_ok=True)
     scene = make_scene(points, noise_m, rng=np.random.default_rng(SEED))
-    _write(folder / "scene.ply", scene.xyz, scene.rgb)
-    for name, model in scene.models.items():
-        _write(folder / f"{name}.ply", model.cloud)
+    clouds = {"scene": cloud_rows(scene.xyz, scene.rgb)}
+    clouds |= {name: cloud_rows(model.cloud) for name, model in scene.models.items()}
+    for name, rows in clouds.items():
+        write_atomically(folder / f"{name}.ply", partial(write_ply, vertices=rows))
     buffer = StringIO()
     table = csv.writer(buffer, lineterminator="\n")
     table.writerow(["model", "x", "y", "z", "heading_deg"])
@@ -59,13 +60,3 @@ def write_example(
     text = buffer.getvalue()
     write_atomically(folder / "truth.csv", lambda path: path.write_text(text, encoding="utf-8"))
     return scene
-
-
-def _write(path: Path, xyz: NDArray[np.float64], rgb: NDArray[np.uint8] | None = None) -> None:
-    colours = ("red", "green", "blue") if rgb is not None else ()
-    rows = np.empty(len(xyz), [*((a, "<f4") for a in "xyz"), *((c, "u1") for c in colours)])
-    rows["x"], rows["y"], rows["z"] = xyz.T
-    if rgb is not None:
-        rows["red"], rows["green"], rows["blue"] = rgb.T
-    data = PlyData([PlyElement.describe(rows, "vertex")], byte_order="<")
-    write_atomically(path, lambda partial: data.write(str(partial)))

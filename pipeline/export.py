@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-from plyfile import PlyData, PlyElement
 
 from spinpipe.pipeline.atomic import write_atomically
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.schemas import DETECTIONS, MODELS
 from spinpipe.schemas.records import Detection, ObjectModel
 from spinpipe.schemas.topics import Topic
+from spinpipe.stages.write_ply import cloud_rows, write_ply
 
 T = TypeVar("T")
 
@@ -112,24 +112,15 @@ def _csv(accepted: Iterable[Detection]) -> str:
 def _write_ply(path: Path, accepted: Sequence[Detection], models: dict[str, ObjectModel]) -> None:
     """The accepted models at their poses in scene coordinates: meshes, or points of a cloud."""
     colours = {name: PALETTE[i % len(PALETTE)] for i, name in enumerate(models)}
-    vertex_type = [(axis, "f8") for axis in "xyz"] + [(c, "u1") for c in ("red", "green", "blue")]
-    vertices: list[np.ndarray] = []
-    faces: list[np.ndarray] = []
+    vertices = [cloud_rows(np.empty((0, 3)), np.empty((0, 3), np.uint8), "<f8")]
+    faces = [np.empty((0, 3), np.int32)]
     count = 0
     for d in accepted:
         model = models[d.model]
         local = model.vertices if len(model.faces) else model.points
         T_scene_object = d.T_scene_model @ np.linalg.inv(model.T_object_model)
         xyz = local.astype(np.float64) @ T_scene_object[:3, :3].T + T_scene_object[:3, 3]
-        block = np.empty(len(xyz), dtype=vertex_type)
-        block["x"], block["y"], block["z"] = xyz.T
-        block["red"], block["green"], block["blue"] = colours[d.model]
-        vertices.append(block)
+        vertices.append(cloud_rows(xyz, np.array(colours[d.model], np.uint8), "<f8"))
         faces.append(model.faces + count)
-        count += len(block)
-    vertex = np.concatenate(vertices) if vertices else np.empty(0, dtype=vertex_type)
-    face = np.empty(sum(map(len, faces)), dtype=[("vertex_indices", "i4", (3,))])
-    if faces:
-        face["vertex_indices"] = np.concatenate(faces)
-    elements = [PlyElement.describe(vertex, "vertex"), PlyElement.describe(face, "face")]
-    PlyData(elements, byte_order="<").write(str(path))
+        count += len(xyz)
+    write_ply(path, np.concatenate(vertices), np.concatenate(faces))

@@ -1,26 +1,19 @@
 """PLY clouds: ascii and binary of both byte orders, any number types, extra properties ignored."""
 
-# plyfile has no types
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
-# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
-
 from __future__ import annotations
 
-import io
 import itertools
-import re
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from plyfile import PlyData, PlyElement, PlyListProperty, PlyParseError
 
 from spinpipe.schemas.records import F64, U8
 from spinpipe.stages.colour_range import full_colour, to_8_bit
+from spinpipe.stages.ply_header import PlyElement, PlyHeader, parse_header
 from spinpipe.stages.ply_lists import ListRows
 from spinpipe.stages.stage import StageError
 
@@ -32,25 +25,8 @@ _COLOURS = tuple(
 _LONGEST_HEADER = 1 << 20
 
 
-@dataclass(frozen=True)
-class PlyHeader:
-    """What a PLY file says about itself, and where its data begins."""
-
-    elements: tuple[PlyElement, ...]
-    counts: tuple[int, ...]
-    """Rows of each element."""
-    text: bool
-    byte_order: str
-    data_offset: int
-
-    def count(self, element: str) -> int:
-        """Rows of an element, 0 where there is none of that name."""
-        names = [e.name for e in self.elements]
-        return self.counts[names.index(element)] if element in names else 0
-
-
 def read_header(path: Path) -> PlyHeader:
-    """Parse the header only; line ends may be those of Unix, Windows or old Macs.
+    """Parse the header only.
 
     Raises
     ------
@@ -59,29 +35,10 @@ def read_header(path: Path) -> PlyHeader:
     """
     with path.open("rb") as file:
         head = file.read(_LONGEST_HEADER)
-    start = re.match(rb"ply[ \t]*(\r\n|\n|\r)", head)
-    if start is None:
-        raise StageError(f"{path}: not a PLY file, it does not begin with 'ply'; export it again")
-    line_end = start[1]
-    end = head.find(line_end + b"end_header" + line_end)
-    if end < 0:
-        raise StageError(f"{path}: the PLY header has no 'end_header' line; export the file again")
-    counts: list[int] = []
-    lines = [b"ply"]
-    for line in head[start.end() : end].split(line_end):
-        words = line.split()
-        if words[:1] in ([b"comment"], [b"obj_info"], []):
-            continue  # may hold any bytes; plyfile wants ascii
-        if words[0] == b"element" and len(words) == 3 and words[2].isdigit():
-            counts.append(int(words[2]))
-            words[2] = b"0"  # plyfile then stops after the header
-        lines.append(b" ".join(words))
     try:
-        ply = PlyData.read(io.BytesIO(b"\n".join([*lines, b"end_header\n"])))
-    except (PlyParseError, ValueError, KeyError) as error:
-        raise StageError(f"{path}: broken PLY header ({error}); export the file again") from error
-    offset = end + len(line_end + b"end_header" + line_end)
-    return PlyHeader(tuple(ply.elements), tuple(counts), ply.text, ply.byte_order, offset)
+        return parse_header(head)
+    except ValueError as error:
+        raise StageError(f"{path}: {error}; export the file again") from None
 
 
 class PlySource:
@@ -103,7 +60,7 @@ class PlySource:
             raise StageError(f"{path}: the PLY file has no element 'vertex'; give a point cloud")
         self._index = names.index("vertex")
         self._vertex = self._header.elements[self._index]
-        self.points = self._header.counts[self._index]
+        self.points = self._vertex.count
         fields = [prop.name for prop in self._vertex.properties]
         missing = [axis for axis in "xyz" if axis not in fields]
         if missing:
@@ -142,16 +99,11 @@ class PlySource:
 
     def _has_lists(self) -> bool:
         """Whether a row's place in the file depends on the length of lists before it."""
-        before = zip(self._header.elements, self._header.counts, strict=True)
-        return any(
-            count and isinstance(prop, PlyListProperty)
-            for element, count in itertools.islice(before, self._index + 1)
-            for prop in element.properties
-        )
+        return any(e.count and e.has_lists for e in self._header.elements[: self._index + 1])
 
     def _check_size(self) -> None:
         """Compare the file's size with what the header promises."""
-        row = self._vertex.dtype(self._header.byte_order).itemsize
+        row = self._vertex.dtype.itemsize
         missing = self._vertex_offset() + self.points * row - self._path.stat().st_size
         if missing > 0:
             raise StageError(
@@ -160,15 +112,11 @@ class PlySource:
             )
 
     def _vertex_offset(self) -> int:
-        before = zip(self._header.elements, self._header.counts, strict=True)
-        return self._header.data_offset + sum(
-            count * element.dtype(self._header.byte_order).itemsize
-            for element, count in itertools.islice(before, self._index)
-            if count
-        )
+        before = self._header.elements[: self._index]
+        return self._header.data_offset + sum(e.count * e.dtype.itemsize for e in before if e.count)
 
     def _binary_rows(self, points: int) -> Iterator[NDArray[Any]]:
-        dtype = self._vertex.dtype(self._header.byte_order)
+        dtype = self._vertex.dtype
         # Read, not memory-mapped: mapped pages would count as the process's memory
         with self._path.open("rb") as file:
             file.seek(self._vertex_offset())
@@ -183,18 +131,18 @@ class PlySource:
         wanted = ("x", "y", "z", *self._colours)
         columns = [fields.index(name) for name in wanted]
         leading = self._vertex.properties[: max(columns)]
-        if any(isinstance(prop, PlyListProperty) for prop in leading):
+        if any(prop.count_dtype is not None for prop in leading):
             raise StageError(
                 f"{self._path}: an ascii PLY with a list before its coordinates or colours "
                 "is not supported; export it as binary"
             )
-        types = [self._vertex.ply_property(name).dtype() for name in wanted]
+        types = [self._vertex.properties[column].dtype for column in columns]
         # Text of a whole number may carry a decimal point or an exponent: read all as float64
         parsed = np.dtype([(name, np.float64) for name in wanted])
         exact = np.dtype(list(zip(wanted, types, strict=True)))
         with self._path.open("rb") as file:
             file.seek(self._header.data_offset)
-            rows_before = sum(self._header.counts[: self._index])
+            rows_before = sum(e.count for e in self._header.elements[: self._index])
             lines = (line for line in file if line.strip())
             for start in range(0, self.points, points):
                 skip = rows_before if start == 0 else 0
@@ -224,13 +172,12 @@ class PlySource:
         """Rows behind or among lists of any length."""
         names = ("x", "y", "z", *self._colours)
         fields = [prop.name for prop in self._vertex.properties]
-        wanted = ListRows(self._layout(self._vertex), [fields.index(n) for n in names], names)
+        wanted = ListRows(_layout(self._vertex), [fields.index(n) for n in names], names)
         found = 0
         with self._path.open("rb") as file:
             file.seek(self._header.data_offset)
-            before = zip(self._header.elements, self._header.counts, strict=True)
-            for element, count in itertools.islice(before, self._index):
-                for _ in ListRows(self._layout(element)).read(file, count, points):
+            for element in self._header.elements[: self._index]:
+                for _ in ListRows(_layout(element)).read(file, element.count, points):
                     pass
             for rows in wanted.read(file, self.points, points):
                 found += len(rows)
@@ -238,23 +185,16 @@ class PlySource:
         if found < self.points:
             raise self._cut_short(found)
 
-    def _layout(self, element: PlyElement) -> list[tuple[np.dtype[Any] | None, np.dtype[Any]]]:
-        """Types of an element's properties in the file's byte order, with those of list counts."""
-        order = self._header.byte_order
-        layout: list[tuple[np.dtype[Any] | None, np.dtype[Any]]] = []
-        for prop in element.properties:
-            if isinstance(prop, PlyListProperty):
-                count, item = prop.list_dtype(order)
-                layout.append((np.dtype(count), np.dtype(item)))
-            else:
-                layout.append((None, np.dtype(prop.dtype(order))))
-        return layout
-
     def _cut_short(self, found: int) -> StageError:
         return StageError(
             f"{self._path}: cut short, {self.points - found:,} of {self.points:,} points are "
             "missing; copy or export the file again"
         )
+
+
+def _layout(element: PlyElement) -> list[tuple[np.dtype[Any] | None, np.dtype[Any]]]:
+    """Types of an element's properties, with those of list lengths."""
+    return [(prop.count_dtype, prop.dtype) for prop in element.properties]
 
 
 def _matrix(rows: NDArray[Any], names: tuple[str, ...]) -> NDArray[Any]:
