@@ -15,6 +15,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from spinpipe.stages import STAGES
+from spinpipe.stages.gltf_buffers import external_buffers
 from spinpipe.stages.stage import Stage, StageError
 
 
@@ -57,7 +58,10 @@ def producers(stage: Stage) -> list[str]:
 
 
 def hash_path(path: Path, key: str) -> str:
-    """Hash of a file's content, or of all files below a folder with their relative names."""
+    """Hash of a file's content, or of all files below a folder with their relative names.
+
+    The content of a glTF file includes the buffers that it refers to.
+    """
     if not path.exists():
         raise StageError(f"{key}: {path} does not exist")
     digest = hashlib.sha256()
@@ -67,6 +71,9 @@ def hash_path(path: Path, key: str) -> str:
                 digest.update(str(file.relative_to(path)).encode() + b"\0")
             with file.open("rb") as stream:
                 digest.update(hashlib.file_digest(stream, "sha256").digest())
+        if path.suffix.lower() == ".gltf":
+            for content in external_buffers(path):
+                digest.update(hashlib.sha256(content).digest())
     except OSError as error:
         raise StageError(f"{key}: cannot read {path}: {error.strerror}") from None
     return f"sha256 {digest.hexdigest()}{path.suffix}"

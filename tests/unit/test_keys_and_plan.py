@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+import trimesh
 
 from spinpipe.pipeline.config import ConfigError, load_config
 from spinpipe.pipeline.keys import changed_parts, hash_path, producers, stage_key
@@ -168,3 +169,36 @@ def test_a_folder_is_known_by_names_and_contents(tmp_path: Path) -> None:
     assert hash_path(copy, "ingest.scene") != before
     (folder / "sub" / "b.bin").rename(folder / "sub" / "c.bin")
     assert hash_path(folder, "ingest.scene") != before
+
+
+def test_a_gltf_is_known_by_its_buffers_too(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        trimesh.creation.box().export(tmp_path / name / "crate.gltf")
+    buffers = sorted((tmp_path / "two").glob("*.bin"))
+    before = hash_path(tmp_path / "one" / "crate.gltf", "model.crate.path")
+    gltf = tmp_path / "two" / "crate.gltf"
+    assert hash_path(gltf, "model.crate.path") == before
+    for buffer in buffers:
+        content = buffer.read_bytes()
+        buffer.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+        assert hash_path(gltf, "model.crate.path") != before
+        buffer.write_bytes(content)
+    assert hash_path(gltf, "model.crate.path") == before
+    buffers[0].unlink()
+    with pytest.raises(StageError, match=f"cannot read its buffer '{buffers[0].name}'"):
+        hash_path(gltf, "model.crate.path")
+
+
+@pytest.mark.parametrize("content", ["solid", "[]", '{"buffers": [1]}'])
+def test_a_file_that_is_no_gltf_has_no_key(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "crate.gltf"
+    path.write_text(content)
+    with pytest.raises(StageError, match=r"crate\.gltf: not a glTF file"):
+        hash_path(path, "model.crate.path")
+
+
+def test_buffers_within_a_gltf_need_no_file(tmp_path: Path) -> None:
+    path = tmp_path / "crate.gltf"
+    path.write_text('{"buffers": [{"uri": "data:application/octet-stream;base64,AAAA"}, {}]}')
+    assert hash_path(path, "model.crate.path").endswith(".gltf")
