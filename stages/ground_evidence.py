@@ -7,6 +7,7 @@ up than against it, 0 where nothing does.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,7 +141,8 @@ def grow_terrain(surface: Surface, plane: FittedPlane) -> Terrain:
     axes = np.linalg.svd(plane.normal[None])[2][1:]
     flat = surface.points @ axes.T
     about = min(ABOUT, np.count_nonzero(members))
-    _, below = KDTree(flat[members]).query(flat, k=[*range(1, about + 1)])
+    ranks: Any = [*range(1, about + 1)]  # a list: with an axis of neighbours even for one
+    _, below = KDTree(flat[members]).query(flat, k=ranks)
     gap, _ = KDTree(surface.points[members]).query(surface.points)
     heights = from_plane - np.median(from_plane[members][below], axis=1)
     band = max(BAND * plane.inlier_distance, surface.voxel)

@@ -18,7 +18,7 @@ from spinpipe.schemas.records import (
     SpinImage,
 )
 from spinpipe.stages.candidates import Candidates, vector
-from spinpipe.stages.frames import heading_deg, transform
+from spinpipe.stages.frames import heading_deg, inverse, transform
 from spinpipe.stages.icp_fit import IcpFit
 from spinpipe.stages.kiss_registration import kiss_icp_fit
 from spinpipe.stages.spin_image import topmost_point
@@ -181,7 +181,7 @@ class _Judge:
         moved = transform(pose, self._target.samples)
         scene_tree = KDTree(self._cutout.astype(np.float64))
         by_scene = scene_tree.query(moved, distance_upper_bound=reach_m)[0] < reach_m
-        in_object = transform(np.linalg.inv(pose), self._cutout)
+        in_object = transform(inverse(pose), self._cutout)
         points = self._target.model.points
         low, high = points.min(axis=0) - reach_m, points.max(axis=0) + reach_m
         inside = in_object[np.all((in_object >= low) & (in_object <= high), axis=1)]

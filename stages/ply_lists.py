@@ -7,7 +7,7 @@ vertices. Such rows must be walked one by one to find where the next begins.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 from numba import njit
@@ -41,7 +41,7 @@ class ListRows:
             [(count.itemsize if count else 0, item.itemsize) for count, item in properties]
         ).reshape(-1, 2)
         self._targets = np.full(len(properties), -1)
-        fields: Mapping[str, Any] = self.dtype.fields or {}
+        fields = cast("Mapping[str, Any]", self.dtype.fields or {})
         for name, i in zip(names, wanted, strict=True):
             self._targets[i] = fields[name][1]
         self._big_endian = any(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from plyfile import PlyData
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from spinpipe.pipeline.export import export_results
@@ -132,7 +132,7 @@ def test_results_appear_whole(tmp_path: Path) -> None:
 def test_positions_and_transforms_of_a_run_agree(finished_yard: YardRun, yard: Yard) -> None:
     accepted = [d for d in finished_yard.detections() if d["fate"] == "accepted"]
     assert len(accepted) == len(yard.cars)
-    scene = cKDTree(yard.xyz)
+    scene = KDTree(yard.xyz)
     low, high = yard.model.min(axis=0), yard.model.max(axis=0)
     base = np.array([[(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]])
     for d in accepted:

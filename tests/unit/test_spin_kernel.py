@@ -109,7 +109,7 @@ def test_histograms_equal_the_twin(make, cell_m):
     for grid in GRIDS:
         expected = np.stack([spin_image(cloud, origin, grid) for origin in origins])
         np.testing.assert_array_equal(histograms(index, origins, grid), expected)
-    assert expected.dtype == np.uint32
+        assert expected.dtype == np.uint32
 
 
 coordinate = st.one_of(
