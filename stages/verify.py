@@ -15,7 +15,6 @@ from spinpipe.schemas import (
     DETECTIONS,
     INSTANCES,
     MODELS,
-    SAMPLING,
     SCENE,
     SPIN_IMAGES,
     TILES,
@@ -27,8 +26,7 @@ from spinpipe.stages.candidates import Candidates
 from spinpipe.stages.frames import inverse, world_from_scene
 from spinpipe.stages.icp_verification import IcpRules, verify_by_residual
 from spinpipe.stages.neighbourhood import WorldCloud
-from spinpipe.stages.recognition import Rules
-from spinpipe.stages.stage import Context, Progress, Section
+from spinpipe.stages.stage import Context, Section
 
 
 class Verify:
@@ -36,34 +34,20 @@ class Verify:
 
     name = "verify"
     version = 1
-    inputs = (CLOUD, TILES, SCENE, MODELS, UPRIGHT, SAMPLING, SPIN_IMAGES, CLUSTERS)
+    inputs = (CLOUD, TILES, SCENE, MODELS, UPRIGHT, SPIN_IMAGES, CLUSTERS)
     outputs = (TRACES, DETECTIONS, INSTANCES)
 
     class Config(Section):
         """How candidates are fitted and judged."""
 
-        method: Literal["evidence", "trimmed", "kiss-icp"] = Field(
-            "evidence",
-            description="evidence: registration to convergence, judged by what the scene shows "
-            "for and against it; trimmed: the paper's ICP, judged by its residual; kiss-icp: the "
-            "same with KISS-ICP's registration",
+        method: Literal["trimmed", "kiss-icp"] = Field(
+            "trimmed", description="registration: the paper's trimmed ICP, or KISS-ICP's"
         )
-        min_score: float = Field(0.5, ge=0, le=1, description="evidence: below it: rejected")
-        min_observed: float = Field(
-            0.1, ge=0, le=1, description="evidence: least share of the visible surface observed"
-        )
-        min_margin: float = Field(
-            0.01,
-            ge=0,
-            le=1,
-            description="evidence: least lead in score over another heading or type; below it: "
-            "ambiguous",
-        )
-        starts: int = Field(12, ge=1, le=360, description="ICP: headings to start from")
-        iterations: int = Field(15, ge=1, le=1000, description="ICP: of each start")
-        keep: float = Field(0.8, gt=0, le=1, description="ICP: share of the pairs that count")
-        samples: int = Field(500, ge=10, le=1_000_000, description="ICP: points of the model")
-        max_rms_m: float = Field(0.115, gt=0, le=100, description="ICP: above it: rejected")
+        starts: int = Field(12, ge=1, le=360, description="headings to start from")
+        iterations: int = Field(15, ge=1, le=1000, description="of each start")
+        keep: float = Field(0.8, gt=0, le=1, description="share of the pairs that count")
+        samples: int = Field(500, ge=10, le=1_000_000, description="points of the model")
+        max_rms_m: float = Field(0.115, gt=0, le=100, description="above it: rejected")
 
     def run(self, ctx: Context[Config]) -> None:
         """Fit every candidate, then write traces, detections and the poses of the accepted."""
@@ -76,36 +60,24 @@ class Verify:
         )
         progress = ctx.progress("candidates", len(candidates.clusters))
         detections: list[Detection] = []
-        for detection, trace in _verified(candidates, ctx, progress):
+        for detection, trace in _verified(candidates, ctx):
             if trace is not None:
                 ctx.write(TRACES, trace)
             detections.append(detection)
+            progress.advance()
         for detection in detections:
             ctx.write(DETECTIONS, detection)
-        accepted = [d for d in detections if d.fate == "accepted"]
-        positions = np.array([d.position_world for d in accepted]).reshape(-1, 3)
-        headings = np.array([d.heading_deg for d in accepted])
-        quaternions = Rotation.from_euler("z", headings, degrees=True).as_quat().reshape(-1, 4)
-        ctx.write(INSTANCES, InstancePoses(positions, quaternions))
+        accepted = [d.T_world_object for d in detections if d.fate == "accepted"]
+        poses = np.array(accepted).reshape(-1, 4, 4)
+        quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat().reshape(-1, 4)
+        ctx.write(INSTANCES, InstancePoses(poses[:, :3, 3], quaternions))
         ctx.log(f"{len(accepted)} of {len(detections)} candidates accepted")
 
 
 def _verified(
-    candidates: Candidates, ctx: Context[Verify.Config], progress: Progress
+    candidates: Candidates, ctx: Context[Verify.Config]
 ) -> Iterator[tuple[Detection, FitTrace | None]]:
     config = ctx.config
-    if config.method == "evidence":
-        yield from verify_by_evidence(
-            candidates,
-            ctx.read_one(SAMPLING),
-            Rules(config.min_score, config.min_observed, config.min_margin),
-            ctx.rng,
-            threads=ctx.threads,
-            memory_bytes=ctx.memory_bytes,
-            map_blocks=ctx.map,
-            advance=progress.advance,
-        )
-        return
     rules = IcpRules(
         method=config.method,
         starts=config.starts,
@@ -114,7 +86,4 @@ def _verified(
         samples=config.samples,
         max_rms_m=config.max_rms_m,
     )
-    images = list(ctx.read(SPIN_IMAGES))
-    for result in verify_by_residual(candidates, images, rules, ctx.rng, ctx.threads):
-        yield result
-        progress.advance()
+    return verify_by_residual(candidates, list(ctx.read(SPIN_IMAGES)), rules, ctx.rng, ctx.threads)
