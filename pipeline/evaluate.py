@@ -9,7 +9,7 @@ from typing import Literal
 from rich.console import Console
 
 from spinpipe.pipeline.atomic import write_atomically
-from spinpipe.pipeline.config import ConfigError, load_config
+from spinpipe.pipeline.config import ConfigError
 from spinpipe.pipeline.context import RunReader
 from spinpipe.pipeline.evaluation import Rule, choose_rule, precision_recall, score_detections
 from spinpipe.pipeline.evaluation_picture import write_picture
@@ -61,7 +61,7 @@ def evaluate_run(
     undecided = [i for i, d in enumerate(detections) if d.fate == "ambiguous"]
     score = score_detections(sought, detections, accepted, radius_m, rule)
     return Evaluation(
-        run=load_config(folder.config).run.name,
+        run=json.loads(folder.report.read_text(encoding="utf-8"))["run"],
         rule=rule,
         radius_m=radius_m,
         truths=sought,
@@ -109,5 +109,5 @@ def require_complete(folder: RunFolder) -> None:
     """Refuse a folder that does not hold all results of a run."""
     if not folder.config.exists():
         raise ConfigError(f"{folder.path}: no run here: {folder.config.name} is missing")
-    if not folder.mcap("verify").exists():
+    if not folder.mcap("verify").exists() or not folder.report.exists():
         raise StageError(f"{folder.path}: the run is not complete; run its config to the end")

@@ -19,6 +19,7 @@ from spinpipe.pipeline.evaluate import evaluate_run, require_complete
 from spinpipe.pipeline.evaluation_picture import write_picture
 from spinpipe.pipeline.plant_report import plant_document, plant_table
 from spinpipe.pipeline.planted_scene import Planted, write_planted
+from spinpipe.pipeline.recording import RecordMode
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.schemas import CLOUD, MODELS, TILES, UPRIGHT
 from spinpipe.schemas.records import F32, ObjectModel
@@ -34,7 +35,7 @@ NEIGHBOURS = 8
 """Of a point, that tell how far apart points are."""
 
 
-def plant_command(path: Path, count: int, seed: int, picture: bool, rerun: str) -> None:
+def plant_command(path: Path, count: int, seed: int, picture: bool, rerun: RecordMode) -> None:
     """``spinpipe plant``."""
     if path.is_dir():
         folder = RunFolder(path)
