@@ -231,9 +231,10 @@ def main() -> None:
     """Run the command line; every error is one line on stderr and a non-zero exit code."""
     try:
         app()
-    except KeyboardInterrupt:
-        sys.stderr.write("spinpipe: interrupted; run it again to go on\n")
-        sys.exit(130)
+    except SystemExit as stop:
+        if stop.code == 130:  # typer makes Ctrl-C an exit without a word
+            sys.stderr.write("spinpipe: interrupted; run it again to go on\n")
+        raise
     except Exception as error:
         from spinpipe.pipeline.errors import describe
 

@@ -61,3 +61,8 @@ class RunFolder:
     def detections_ply(self) -> Path:
         """The accepted models in scene coordinates."""
         return self.path / "detections.ply"
+
+    def discard_results(self) -> None:
+        """Remove the results: what they were made from is about to change."""
+        for path in (self.detections_json, self.detections_csv, self.detections_ply):
+            path.unlink(missing_ok=True)

@@ -20,7 +20,7 @@ from spinpipe.pipeline.atomic import commit
 from spinpipe.pipeline.config import RunConfig
 from spinpipe.pipeline.context import RunContext
 from spinpipe.pipeline.engine import Engine
-from spinpipe.pipeline.mcap_file import DamagedFileError, StageFileWriter, recover
+from spinpipe.pipeline.mcap_file import DamagedFileError, StageFileWriter, read_metadata, recover
 from spinpipe.pipeline.plan import Step
 from spinpipe.pipeline.progress import stage_progress
 from spinpipe.pipeline.run_folder import RunFolder
@@ -60,7 +60,7 @@ class Runner:
         Raises
         ------
         StageError
-            From a stage, or if a file of an earlier stage turns out damaged.
+            From a stage, or if a file of an earlier stage turns out damaged or another.
         """
         reports: list[StageReport] = []
         for step in steps:
@@ -70,13 +70,22 @@ class Runner:
                 continue
             self._say(step)
             if step.action == "run":
+                self._folder.discard_results()  # they would no longer follow from the files
                 self._run_stage(step, report)
+            else:
+                self._require_unchanged(step)
             on_stage(step.stage.name)
         return reports
 
     def _say(self, step: Step) -> None:
         action = {"run": "[bold]run  [/]", "reuse": "[dim]reuse[/]"}[step.action]
         self._console.print(f"{action} {step.stage.name:<8} {step.reason}", highlight=False)
+
+    def _require_unchanged(self, step: Step) -> None:
+        """Another process may have worked in the folder after the plan was made."""
+        path = self._folder.mcap(step.stage.name)
+        if not path.exists() or read_metadata(path, "stage").get("key") != step.key:
+            raise StageError(f"{path}: was changed meanwhile by another run; run again")
 
     def _run_stage(self, step: Step, report: StageReport) -> None:
         name = step.stage.name

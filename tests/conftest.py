@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import hypothesis
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -28,6 +29,9 @@ from spinpipe.stages.shapes import (
     sample_surface,
     surface_area,
 )
+
+hypothesis.settings.register_profile("spinpipe", deadline=None, print_blob=True)
+hypothesis.settings.load_profile("spinpipe")  # no deadline: machines are busy, kernels compile
 
 F64 = NDArray[np.float64]
 
