@@ -84,7 +84,7 @@ def plant_objects(folder: RunFolder, count: int, rng: np.random.Generator) -> li
     places = free_places(grid, blocked, footprints, 2 * grid.cell_m, rng)
     planted: list[Planted] = []
     for model, place in zip(turns, places, strict=False):
-        nearby = _around(cloud, place)
+        nearby = _around(cloud, place, grid.cell_m)
         try:
             around = look_around(nearby, grid, place, clear_m)
         except ValueError:  # hardly any ground: nothing to take density and noise from
@@ -149,7 +149,7 @@ def _pieces(cloud: WorldCloud) -> Iterator[F32]:
     return (cloud.points(tile) for tile in range(len(cloud)))
 
 
-def _around(cloud: WorldCloud, place: Place) -> F32:
-    reach = float(np.hypot(place.footprint.length_m, place.footprint.width_m)) / 2
+def _around(cloud: WorldCloud, place: Place, margin_m: float) -> F32:
+    reach = float(np.hypot(place.footprint.length_m, place.footprint.width_m)) / 2 + 2 * margin_m
     low = np.array([place.x - reach, place.y - reach, -np.inf])
     return cloud.inside(low, np.array([place.x + reach, place.y + reach, np.inf]))

@@ -91,7 +91,7 @@ def look_around(
 
     Parameters
     ----------
-    points : (N, 3) world, at least those within the footprint's diagonal of the place.
+    points : (N, 3) world, at least those within the footprint's half diagonal and a cell.
     grid : the local ground.
     place : where.
     clear_m : up to this height points belong to the ground.
@@ -106,7 +106,10 @@ def look_around(
     offset = points[:, :2].astype(np.float64) - np.array([place.x, place.y])
     cells, inside = grid.cells(points[:, :2])
     height = points[:, 2] - grid.height[cells[:, 0], cells[:, 1]]
-    ground = inside & (np.hypot(*offset.T) < radius) & (np.abs(height) < clear_m)
+    # Whole cells, so that their number gives the area
+    middles = grid.low + grid.cell_m * (cells + 0.5) - np.array([place.x, place.y])
+    near = np.hypot(middles[:, 0], middles[:, 1]) < radius
+    ground = inside & near & (np.abs(height) < clear_m)
     if ground.sum() < MIN_GROUND:
         raise ValueError(f"only {ground.sum()} points of ground around the place")
     xy, z = offset[ground], points[ground, 2].astype(np.float64)
