@@ -78,12 +78,17 @@ def build_blueprint(read: Reader, preview_points: int, timeline: str = "stage") 
                     ),
                     rrb.TextDocumentView(origin=NOTES, name="Notes"),
                 ),
-                _spin_images([model.name for model in models]),
+                rrb.Horizontal(
+                    _spin_images([model.name for model in models]),
+                    rrb.BarChartView(
+                        origin="/scan/histogram",
+                        name="Correlations, log10",
+                        plot_legend=rrb.PlotLegend(visible=False),
+                    ),
+                    column_shares=[5, 3],
+                ),
                 rrb.Tabs(
                     _residuals(),
-                    rrb.BarChartView(
-                        origin="/scan/histogram", name="Correlations: log10(1 + origins)"
-                    ),
                     rrb.DataframeView(
                         origin="/verify/ledger",
                         name="Ledger",
@@ -133,8 +138,8 @@ def _spin_images(models: Sequence[str]) -> rrb.Tabs:
         path = model_path("/scan/spin_image", model)
         pairs.append(
             rrb.Horizontal(
-                rrb.Spatial2DView(origin=f"{path}/model", name=f"Spin image of {model}"),
-                rrb.Spatial2DView(origin=f"{path}/scene", name="Best match in the scene"),
+                rrb.Spatial2DView(origin=f"{path}/model", name="Model"),
+                rrb.Spatial2DView(origin=f"{path}/scene", name="Best match"),
                 name=model,
             )
         )
@@ -149,7 +154,8 @@ def _residuals() -> rrb.Vertical:
     return rrb.Vertical(
         rrb.TimeSeriesView(
             contents=["+ /verify/rms/**", "+ /verify/numbers"],
-            name="By iteration: residual of every start in metres. By candidate: scores",
+            name="Iterations: residual of every start in m. "
+            "Candidates: ● score ◆ correlation ▲ model, ▼ scene explained",
             axis_x=rrb.TimeAxis(view_range=near),
             plot_legend=rrb.PlotLegend(visible=False),
         ),

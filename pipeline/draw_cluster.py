@@ -32,7 +32,7 @@ def draw_cluster(read: Reader, rec: rr.RecordingStream, preview_points: int) -> 
     clusters = sorted(read(CLUSTERS), key=lambda cluster: cluster.id)
     shown = clusters[:preview_points]
     tallest = max((model_bounds(model)[1, 2] for model in read(MODELS)), default=1.0)
-    pin = np.array([0, 0, 2 * tallest])
+    pin = np.array([0, 0, tallest])
     positions = np.array([c.position for c in shown], np.float64).reshape(-1, 3)
     at_stage(rec, "cluster")
     note(rec, _summary(clusters))
@@ -41,11 +41,9 @@ def draw_cluster(read: Reader, rec: rr.RecordingStream, preview_points: int) -> 
         rec,
         "cluster/candidates",
         rr.LineStrips3D(
-            np.stack([positions * (1, 1, 0), positions * (1, 1, 0) + pin], axis=1).astype(
-                np.float32
-            ),
+            np.stack([positions, positions + pin], axis=1).astype(np.float32),
             colors=palette.WHITE,
-            radii=-1.0,
+            radii=-0.7,
             labels=[f"{c.id}: {c.correlation:.2f}" for c in shown],
             show_labels=len(shown) <= _LABELLED,
         ),

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from spinpipe.pipeline import palette
 from spinpipe.pipeline.draw_model import model_path
@@ -22,7 +23,7 @@ def draw_scan(read: Reader, rec: rr.RecordingStream, preview_points: int) -> Non
     scores = read(SCORES)
     # two passes over the file keep one tile in memory at a time
     counts = [len(tile.points) for tile in scores]
-    histogram: dict[str, np.ndarray] = {}
+    histogram: dict[str, NDArray[np.int64]] = {}
     for number, (tile, rows) in enumerate(
         zip(scores, preview_rows(counts, preview_points), strict=True)
     ):
@@ -33,7 +34,10 @@ def draw_scan(read: Reader, rec: rr.RecordingStream, preview_points: int) -> Non
     at_stage(rec, "scan")
     hits, images = read(HITS), read(SPIN_IMAGES)
     for model, bars in histogram.items():
-        _draw_histogram(rec, model, bars)
+        _draw_histogram(rec, model_path("scan/histogram", model), bars, palette.MARK)
+    for group in hits:
+        path = f"{model_path('scan/histogram', group.model)}/hits"
+        _draw_histogram(rec, path, np.histogram(group.correlation, _BINS)[0], palette.HIT)
     for image in images:
         _draw_spin_image(rec, image)
     note(rec, _summary(sum(counts), hits, images))
@@ -42,18 +46,23 @@ def draw_scan(read: Reader, rec: rr.RecordingStream, preview_points: int) -> Non
         _draw_hits(rec, group, preview_points)
 
 
-def _count(tile: ScoreTile, histogram: dict[str, np.ndarray]) -> None:
+def _count(tile: ScoreTile, histogram: dict[str, NDArray[np.int64]]) -> None:
     for column, model in enumerate(tile.models):
         counts, _ = np.histogram(tile.correlation[:, column], _BINS)
         histogram[model] = histogram.get(model, np.zeros(len(counts), np.int64)) + counts
 
 
-def _draw_histogram(rec: rr.RecordingStream, model: str, counts: np.ndarray) -> None:
+def _draw_histogram(
+    rec: rr.RecordingStream, path: str, counts: NDArray[np.int64], color: palette.Colour
+) -> None:
     # hits are one origin in a thousand: only a logarithm shows both sides of the threshold
     rec.log(
-        model_path("scan/histogram", model),
+        path,
         rr.BarChart(
-            np.log10(1 + counts), abscissa=(_BINS[1:] + _BINS[:-1]) / 2, color=palette.MARK
+            np.log10(1 + counts),
+            abscissa=(_BINS[1:] + _BINS[:-1]) / 2,
+            widths=np.diff(_BINS),
+            color=color,
         ),
     )
 
