@@ -149,15 +149,12 @@ class _Sheet:
         self._draw.polygon([(x + dx, y + dy) for dx, dy in corners], fill, colour, 3)
 
     def _legend(self) -> None:
-        """Names in a box at the upper right."""
-        widest = max(self._font.getlength(curve.name) for curve in self._chart.curves)
-        step = TEXT_PX + 8
-        left = WIDTH - RIGHT - widest - 90
-        bottom = TOP + 16 + step * len(self._chart.curves)
-        self._draw.rectangle((left, TOP + 6, WIDTH - RIGHT - 8, bottom), (255, 255, 255), GRID)
-        for row, curve in enumerate(self._chart.curves):
-            y = TOP + 10 + step * (row + 0.5)
+        """Names in a row above the curves, where they hide nothing."""
+        x, y = float(WIDTH - RIGHT), TOP - 22.0
+        for curve in reversed(self._chart.curves):
+            x -= self._font.getlength(curve.name)
+            self._draw.text((x, y), curve.name, INK, self._font, anchor="lm")
             colour = COLOURS[curve.colour % len(COLOURS)]
-            self._line([(left + 10, y), (left + 54, y)], colour, dashed=curve.dashed)
-            self._mark((left + 32, y), colour, MARKS[curve.colour % len(MARKS)], curve.dashed)
-            self._draw.text((left + 66, y), curve.name, INK, self._font, anchor="lm")
+            self._line([(x - 54, y), (x - 10, y)], colour, dashed=curve.dashed)
+            self._mark((x - 32, y), colour, MARKS[curve.colour % len(MARKS)], curve.dashed)
+            x -= 80
