@@ -1,0 +1,272 @@
+"""A model prepared for registration: surface samples, nearest-sample grid, body and visibility.
+
+The grid answers "which surface sample is nearest to this point" with one look-up, so that a
+registration step needs no search tree [Fitzgibbon 2003, Robust registration of 2D and 3D point
+sets, section 4].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, KDTree
+
+# Directions from which the model is looked at, to tell its body from the air around it: straight
+# down, then rings of eight. Lower rays would look underneath the model.
+_ELEVATIONS_DEG = (60.0, 40.0, 25.0)
+_AZIMUTHS = 8
+
+
+@dataclass(frozen=True)
+class ModelField:
+    """A rigid model in its object frame, ready to be looked up.
+
+    Attributes
+    ----------
+    name : the model's name.
+    samples : (S, 3) float64, surface samples, evenly spread, metres.
+    normals : (S, 3) float64, unit, outward.
+    probes : (V,) int64, an even choice of the samples that are visible from above.
+    seen_weight : (V,) float64, share of the visible area, as projected, that each stands for.
+    size : (3,) float64, extent of the bounding box; its base centre is the origin.
+    origin, voxel_m : corner and pitch of the grid.
+    nearest : (nx, ny, nz) int32, index of the sample nearest to each voxel's centre.
+    solid : (nx, ny, nz) bool, voxels inside the body: no ray from above reaches them.
+    footprint : (nx, ny) bool, columns whose ground the body hides from above.
+    edges : (E, 4) float64, edges of the convex hull of the footprint: a point on each, (x, y), and
+        its outward unit normal.
+    depth_edge : (nx, ny) int32, the edge that each column is nearest to from inside.
+    outline : (P, 2) float64, points along the convex hull of the footprint, evenly spaced.
+    outline_normals : (P, 2) float64, unit, outward.
+    outline_height : (P,) float64, how high the model is just inside each of them, metres.
+    """
+
+    name: str
+    samples: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    probes: NDArray[np.int64]
+    seen_weight: NDArray[np.float64]
+    size: NDArray[np.float64]
+    origin: NDArray[np.float64]
+    voxel_m: float
+    nearest: NDArray[np.int32]
+    solid: NDArray[np.bool_]
+    footprint: NDArray[np.bool_]
+    edges: NDArray[np.float64]
+    depth_edge: NDArray[np.int32]
+    outline: NDArray[np.float64]
+    outline_normals: NDArray[np.float64]
+    outline_height: NDArray[np.float64]
+
+    @property
+    def narrow_m(self) -> float:
+        """Half of the narrower horizontal extent."""
+        return float(min(self.size[0], self.size[1]) / 2)
+
+    @property
+    def reach_m(self) -> float:
+        """Half of the horizontal diagonal: no part is farther from the base centre."""
+        return float(np.hypot(self.size[0], self.size[1]) / 2)
+
+    def looks_same(self, turn: float, noise_m: float) -> bool:
+        """Whether turned by ``turn`` radians about its middle it cannot be told from itself.
+
+        The mean distance from the turned surface to the surface [ADD-S: Hinterstoisser et al.
+        2012] is compared with the noise and the resolution of the model.
+        """
+        cos, sin = np.cos(turn), np.sin(turn)
+        probe = self.samples[:: max(1, len(self.samples) // 1000)]
+        turned = probe @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        cell = np.floor((turned - self.origin) / self.voxel_m).astype(int)
+        if np.any(cell < 0) or np.any(cell >= np.array(self.nearest.shape)):
+            return False
+        near = self.samples[self.nearest[cell[:, 0], cell[:, 1], cell[:, 2]]]
+        distance = np.linalg.norm(turned - near, axis=1).mean()
+        return bool(distance < max(self.voxel_m, noise_m))
+
+
+def build_model_field(
+    name: str,
+    points: NDArray[np.floating],
+    normals: NDArray[np.floating],
+    resolution: int = 64,
+    spread: int = 8000,
+    probes: int = 400,
+) -> ModelField:
+    """Prepare a model from points on its surface.
+
+    Parameters
+    ----------
+    name : the model's name.
+    points : (N, 3), dense points on the surface in the object frame, metres, of even density.
+    normals : (N, 3), unit normals; their signs are corrected where the air is on one side only.
+    resolution : voxels along the longest side of the bounding box.
+    spread : about how many samples to keep; they are spread evenly over the surface.
+    probes : about how many samples to probe the visible surface with.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than 50 points or the model has no height or width.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    normals = np.asarray(normals, dtype=np.float64)
+    if len(points) < 50:
+        raise ValueError(f"model {name!r}: {len(points)} points are too few, 50 are the least")
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = high - low
+    if size[2] <= 0 or max(size[0], size[1]) <= 0:
+        raise ValueError(f"model {name!r} is flat: {size} m")
+    points = points - [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]
+    kept = _spread_evenly(points, spread)
+    tree = KDTree(points[kept])
+    spacing = float(np.median(tree.query(points[kept], k=2)[0][:, 1]))
+    voxel = max(float(size.max()) / resolution, spacing / 2)
+    margin = max(0.35 * float(np.median(size)), 4 * voxel)
+    origin = np.array([-size[0] / 2 - margin, -size[1] / 2 - margin, -margin])
+    shape = np.ceil((size + 2 * margin) / voxel).astype(int)
+    centres = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), -1)
+    nearest = tree.query(origin + (centres.reshape(-1, 3) + 0.5) * voxel)[1]
+    surface = np.zeros(shape, dtype=bool)
+    cell = np.floor((points - origin) / voxel).astype(int)
+    surface[cell[:, 0], cell[:, 1], cell[:, 2]] = True
+    open_air, seen_steep = _open_air(surface)
+    solid = ~open_air & ~surface
+    samples, outward = points[kept], normals[kept]
+    outward = _outward(samples, outward, open_air, origin, voxel)
+    seen = _reached(samples + 1.5 * voxel * outward, seen_steep, origin, voxel)
+    visible = np.flatnonzero(seen & (outward[:, 2] > 0.05))
+    if len(visible) == 0:
+        raise ValueError(f"model {name!r} has no surface that is visible from above")
+    probe = visible[_spread_evenly(samples[visible], probes)]
+    # a probe stands for the visible samples nearest to it
+    owner = KDTree(samples[probe]).query(samples[visible])[1]
+    weight = np.bincount(owner, weights=outward[visible, 2], minlength=len(probe))
+    edges = _hull_edges(samples[:, :2])
+    flat = centres[:, :, 0, :2]
+    middle = origin[:2] + (flat + 0.5) * voxel
+    depth = ((edges[:, :2] - middle[:, :, None]) * edges[:, 2:]).sum(axis=-1)
+    base = int(np.floor((0.05 * size[2] - origin[2]) / voxel))
+    outline, outline_normals = _outline(samples[:, :2], spacing=float(size[:2].min()) / 8)
+    near = KDTree(samples[:, :2]).query_ball_point(outline, r=float(size[:2].min()) / 2)
+    return ModelField(
+        name=name,
+        samples=samples,
+        normals=outward,
+        probes=probe,
+        seen_weight=weight / weight.sum(),
+        size=size,
+        origin=origin,
+        voxel_m=voxel,
+        nearest=nearest.reshape(shape).astype(np.int32),
+        solid=solid,
+        footprint=~open_air[:, :, base] | surface[:, :, base],
+        edges=edges,
+        depth_edge=depth.argmin(axis=-1).astype(np.int32),
+        outline=outline,
+        outline_normals=outline_normals,
+        outline_height=np.array([samples[k, 2].max() for k in near]),
+    )
+
+
+def _hull_edges(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Edges of the convex hull of (N, 2) points: middle and outward unit normal of each."""
+    corners = points[ConvexHull(points).vertices]  # counter-clockwise
+    ends = np.roll(corners, -1, axis=0)
+    along = ends - corners
+    normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.concatenate([(corners + ends) / 2, normal], axis=1)
+
+
+def _outline(
+    points: NDArray[np.float64], spacing: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points every ``spacing`` along the convex hull of (N, 2) points, and outward normals."""
+    corners = points[ConvexHull(points).vertices]  # counter-clockwise
+    places, normals = [], []
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        length = float(np.hypot(*(b - a)))
+        count = max(1, round(length / spacing))
+        along = (np.arange(count) + 0.5) / count
+        if length < spacing / 4:
+            continue
+        places.append(a + along[:, None] * (b - a))
+        normals.append(np.tile([(b - a)[1] / length, -(b - a)[0] / length], (count, 1)))
+    return np.concatenate(places), np.concatenate(normals)
+
+
+def _spread_evenly(points: NDArray[np.float64], count: int) -> NDArray[np.intp]:
+    """One point per cell of a grid so fine that about ``count`` cells are occupied."""
+    if len(points) <= count:
+        return np.arange(len(points))
+    low, fine, coarse = points.min(axis=0), 0.0, float(np.ptp(points, axis=0).max())
+    first = np.arange(len(points))
+    for _ in range(20):
+        pitch = (fine + coarse) / 2
+        cell = np.floor((points - low) / pitch).astype(np.int64)
+        key = (cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2]
+        first = np.unique(key, return_index=True)[1]
+        if abs(len(first) - count) < 0.02 * count:
+            break
+        fine, coarse = (pitch, coarse) if len(first) > count else (fine, pitch)
+    return np.sort(first)
+
+
+def _open_air(
+    surface: NDArray[np.bool_],
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Voxels that a ray from above reaches, and those that a steep one (60 degrees up) does."""
+    nx, ny, nz = surface.shape
+    reached = np.zeros_like(surface)
+    steep = np.zeros_like(surface)
+    directions = [(0.0, 0.0, True)]
+    for elevation in _ELEVATIONS_DEG:
+        run = 1 / np.tan(np.radians(elevation))
+        for k in range(_AZIMUTHS):
+            angle = 2 * np.pi * k / _AZIMUTHS
+            directions.append((run * np.cos(angle), run * np.sin(angle), elevation >= 60))
+    for dx, dy, is_steep in directions:
+        # the shadow of everything above, carried down one layer at a time along the ray
+        steps = int(np.ceil(max(abs(dx), abs(dy)))) + 1
+        pad = int(np.ceil(max(abs(dx), abs(dy)) * (nz + 1))) + 1
+        shadow = np.zeros((nx + 2 * pad, ny + 2 * pad), dtype=bool)
+        for k in range(nz - 1, -1, -1):
+            i = pad + round(dx * (nz - 1 - k))
+            j = pad + round(dy * (nz - 1 - k))
+            window = shadow[i : i + nx, j : j + ny]
+            lit = ~window
+            reached[:, :, k] |= lit
+            if is_steep:
+                steep[:, :, k] |= lit
+            for step in range(steps):  # a low ray crosses several voxels of one layer
+                depth = nz - 1 - k + step / steps
+                i, j = pad + round(dx * depth), pad + round(dy * depth)
+                shadow[i : i + nx, j : j + ny] |= surface[:, :, k]
+    return reached, steep
+
+
+def _reached(
+    points: NDArray[np.float64],
+    grid: NDArray[np.bool_],
+    origin: NDArray[np.float64],
+    voxel: float,
+) -> NDArray[np.bool_]:
+    cell = np.floor((points - origin) / voxel).astype(int)
+    cell = np.clip(cell, 0, np.array(grid.shape) - 1)
+    return grid[cell[:, 0], cell[:, 1], cell[:, 2]]
+
+
+def _outward(
+    samples: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    open_air: NDArray[np.bool_],
+    origin: NDArray[np.float64],
+    voxel: float,
+) -> NDArray[np.float64]:
+    """Normals turned to the side where the air is, if it is on one side only."""
+    ahead = _reached(samples + 2 * voxel * normals, open_air, origin, voxel)
+    behind = _reached(samples - 2 * voxel * normals, open_air, origin, voxel)
+    return np.where((behind & ~ahead)[:, None], -normals, normals)

@@ -1,0 +1,99 @@
+"""Joint resolution: no two instances stand in the same place, the better explanation stays."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+MAX_OVERLAP = 0.25
+"""Share of the smaller body that two instances may have in common: fits are not exact."""
+
+
+def resolve(poses: F64, sizes: F64, scores: F64, max_overlap: float = MAX_OVERLAP) -> I64:
+    """Which hypothesis displaces each one.
+
+    Taken from the best score downwards, a hypothesis stays if its body overlaps no body that
+    stayed before it by more than ``max_overlap`` of the smaller of the two.
+
+    Parameters
+    ----------
+    poses : (S, 4) float64: x, y, z of the base centre and yaw, world.
+    sizes : (S, 3) float64, fitted extents along the object's axes, metres.
+    scores : (S,) float64; equal scores are taken in the order of their positions.
+
+    Returns
+    -------
+    (S,) int64
+        -1 where the hypothesis stays, else the row of the one that displaces it.
+    """
+    displaced_by = np.full(len(poses), -1, dtype=np.int64)
+    if len(poses) == 0:
+        return displaced_by
+    tree = KDTree(poses[:, :2])
+    reach = np.hypot(sizes[:, 0], sizes[:, 1]) / 2
+    farthest = reach.max()
+    stays = np.zeros(len(poses), dtype=bool)
+    for row in np.lexsort((poses[:, 1], poses[:, 0], -scores)):
+        near = tree.query_ball_point(poses[row, :2], reach[row] + farthest)
+        rivals = sorted((k for k in near if stays[k]), key=lambda k: -scores[k])
+        for rival in rivals:
+            if overlap(poses[row], sizes[row], poses[rival], sizes[rival]) > max_overlap:
+                displaced_by[row] = rival
+                break
+        else:
+            stays[row] = True
+    return displaced_by
+
+
+def overlap(pose_a: F64, size_a: F64, pose_b: F64, size_b: F64) -> float:
+    """Common volume of two upright boxes as a share of the smaller one.
+
+    Parameters
+    ----------
+    pose_a, pose_b : (4,) x, y, z of the base centre and yaw.
+    size_a, size_b : (3,) extents.
+    """
+    common = min(pose_a[2] + size_a[2], pose_b[2] + size_b[2]) - max(pose_a[2], pose_b[2])
+    smaller = min(size_a.prod(), size_b.prod())
+    if common <= 0 or smaller <= 0:
+        return 0.0
+    area = _convex_area(_clip(_corners(pose_a, size_a), _corners(pose_b, size_b)))
+    return area * common / smaller
+
+
+def _corners(pose: F64, size: F64) -> F64:
+    """(4, 2) corners of the footprint, counter-clockwise."""
+    cos, sin = np.cos(pose[3]), np.sin(pose[3])
+    half = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * size[:2] / 2
+    return half @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
+
+
+def _clip(subject: F64, window: F64) -> F64:
+    """Part of a convex polygon inside another [Sutherland & Hodgman 1974]."""
+    polygon = list(subject)
+    for a, b in zip(window, np.roll(window, -1, axis=0), strict=True):
+        edge = b - a
+        side = [edge[0] * (p[1] - a[1]) - edge[1] * (p[0] - a[0]) for p in polygon]
+        kept = []
+        for k, (p, d) in enumerate(zip(polygon, side, strict=True)):
+            q, e = polygon[k - 1], side[k - 1]
+            if (d >= 0) != (e >= 0):
+                kept.append(q + (p - q) * (e / (e - d)))
+            if d >= 0:
+                kept.append(p)
+        polygon = kept
+        if not polygon:
+            return np.empty((0, 2))
+    return np.array(polygon)
+
+
+def _convex_area(polygon: F64) -> float:
+    """Shoelace formula."""
+    if len(polygon) < 3:
+        return 0.0
+    x, y = polygon.T
+    return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)

@@ -1,0 +1,75 @@
+"""From evidence to a score: named parts in 0..1, each with a meaning, and their product.
+
+A part is the share of what it looks at that speaks for the hypothesis. What chance alone would
+give is taken off, so 0 means "no better than points strewn at random".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spinpipe.stages.hypotheses import EVIDENCE, Tolerance
+
+F64 = NDArray[np.float64]
+
+PARTS = ("model", "scene", "residual", "outline", "stands")
+"""model: visible surface of the model that the scene shows, against what the scene contradicts.
+scene: points in the model's bounding box that lie on its surface, beyond chance.
+residual: how much closer they lie than chance would put them.
+outline: how far the scene drops where the model ends.
+stands: whether the base is at the local ground."""
+
+HIDDEN = 0.25
+"""Weight of surface below something else: less than what is seen through, more than nothing."""
+SWALLOWED = 0.6
+"""Credit for surface without any return, where ground is seen all around: dark paint and glass."""
+EVEN = 0.4
+"""Product of the parts at which a hypothesis is as likely right as wrong."""
+STEEPNESS = 4.0
+"""Slope of the score there, in powers of the product."""
+
+
+def score_parts(
+    evidence: F64, limits: Tolerance, shell_share: float, above_ground_m: F64, height_m: F64
+) -> F64:
+    """Named parts of each hypothesis.
+
+    Parameters
+    ----------
+    evidence : (S, len(EVIDENCE)), see ``hypotheses.refine_poses``.
+    limits : of the model.
+    shell_share : what chance explains, see ``hypotheses.shell_share``.
+    above_ground_m : (S,) height of the base above the local ground.
+    height_m : (S,) height of the fitted model.
+
+    Returns
+    -------
+    (S, len(PARTS)) float64, each 0..1.
+    """
+    column = {name: evidence[:, k] for k, name in enumerate(EVIDENCE)}
+    swallowed = SWALLOWED * column["drop"] * column["ring"] * column["empty"]
+    by_chance = column["contradicted"] * limits.chance / (1.0 - limits.chance)
+    shown = np.clip(column["supported"] - by_chance, 0.0, None) + swallowed
+    asked = column["supported"] + column["contradicted"] + column["empty"]
+    asked = asked + HIDDEN * column["covered"]
+    model = np.divide(shown, asked, out=np.zeros_like(shown), where=asked > 0)
+    claimed = column["claimed"]
+    share = np.divide(column["explained"], claimed, out=np.zeros_like(shown), where=claimed > 0)
+    scene = np.clip((share - shell_share) / (1.0 - shell_share), 0.0, 1.0)
+    # uniform over the gate, residuals have a standard deviation of gate / sqrt(3)
+    residual = 1.0 - np.minimum(3.0 * (column["rms_m"] / limits.gate_m) ** 2, 1.0)
+    tolerated = np.maximum(limits.sharp_m, 0.15 * height_m)
+    stands = np.clip(2.0 - np.abs(above_ground_m) / tolerated, 0.0, 1.0)
+    return np.stack([model, scene, np.sqrt(residual), np.sqrt(column["drop"]), stands], axis=1)
+
+
+def score(parts: F64) -> F64:
+    """Score 0..1 of each row of parts: a logistic function of the logarithm of their product.
+
+    Parameters
+    ----------
+    parts : (S, len(PARTS))
+    """
+    power = parts.prod(axis=1) ** STEEPNESS
+    return power / (power + EVEN**STEEPNESS)
