@@ -37,10 +37,16 @@ def run_command(
 
 
 def execute(
-    config: RunConfig, folder: RunFolder, start: str | None, until: str | None, rerun: RecordMode
+    config: RunConfig,
+    folder: RunFolder,
+    start: str | None,
+    until: str | None,
+    rerun: RecordMode,
+    *,
+    quiet: bool = False,
 ) -> None:
-    """Run a config in a folder and print what was found."""
-    console = Console()
+    """Run a config in a folder and, unless ``quiet``, print what was found."""
+    console = Console(quiet=quiet)
     steps = make_plan(config, folder, start=start, until=until)
     with locked(folder):
         text = config.to_toml()

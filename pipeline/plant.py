@@ -50,7 +50,8 @@ def plant_command(path: Path, count: int, seed: int, picture: bool, rerun: Recor
     console.print(f"planted {len(planted)} of {count} objects", highlight=False)
     target = folder.path / "plant"
     config = write_planted(folder, config, planted, target)
-    execute(config, RunFolder(target / "run"), None, None, rerun)
+    console.print("looking for them ...", highlight=False)
+    execute(config, RunFolder(target / "run"), None, None, rerun, quiet=True)
     radius_m = match_radius_m(list(RunReader(folder)(MODELS)))
     evaluation = evaluate_run(
         RunFolder(target / "run"), target / "truth.csv", radius_m=radius_m, rule="any"
