@@ -107,12 +107,8 @@ def score_detections(
     """
     near = _near(truths, detections, chosen, radius_m, rule)
     wanted = [i for i, t in enumerate(truths) if not t.ignore]
-    distance = near[wanted]
-    # One pair too far away costs more than all near ones: matches come first, then distances
-    forbidden = radius_m * (min(distance.shape) + 1) + 1.0
-    rows, columns = linear_sum_assignment(np.where(np.isfinite(distance), distance, forbidden))
-    pairs = [(wanted[r], c) for r, c in zip(rows, columns, strict=True) if distance[r, c] < np.inf]
-    matches = tuple(_match(truths, detections, t, chosen[c]) for t, c in pairs)
+    pairs = nearest_pairs(near[wanted])
+    matches = tuple(_match(truths, detections, wanted[r], chosen[c]) for r, c in pairs)
     taken = {m.detection for m in matches}
     ignored = np.any(np.isfinite(near[[i for i, t in enumerate(truths) if t.ignore]]), axis=0)
     left = [(d, bool(ignored[c])) for c, d in enumerate(chosen) if d not in taken]
@@ -123,6 +119,21 @@ def score_detections(
         false=tuple(d for d, on_ignored in left if not on_ignored),
         neither=tuple(d for d, on_ignored in left if on_ignored),
     )
+
+
+def nearest_pairs(distance: F64) -> list[tuple[int, int]]:
+    """Pairs of rows and columns, each used once: as many as possible, then the nearest.
+
+    Parameters
+    ----------
+    distance : (R, C) metres, infinite where a pair is not allowed.
+    """
+    allowed = np.isfinite(distance)
+    # One pair that is not allowed costs more than all others: matches come first
+    largest = float(distance[allowed].max()) if allowed.any() else 0.0
+    forbidden = largest * (min(distance.shape) + 1) + 1.0
+    rows, columns = linear_sum_assignment(np.where(allowed, distance, forbidden))
+    return [(int(r), int(c)) for r, c in zip(rows, columns, strict=True) if allowed[r, c]]
 
 
 def precision_recall(
