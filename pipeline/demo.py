@@ -44,9 +44,15 @@ max_edge_m = 2.5
 def write_example(
     folder: Path, noise_m: float = 0.0, points: int = SCENE_POINTS
 ) -> ArtificialScene:
-    """Write scene.ply, model_1.ply, model_2.ply and truth.csv: the same bytes every time."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Make the scene and write it: the same bytes every time."""
     scene = make_scene(points, noise_m, rng=np.random.default_rng(SEED))
+    write_scene(folder, scene)
+    return scene
+
+
+def write_scene(folder: Path, scene: ArtificialScene) -> None:
+    """Write scene.ply, model_1.ply, model_2.ply and truth.csv."""
+    folder.mkdir(parents=True, exist_ok=True)
     clouds = {"scene": cloud_rows(scene.xyz, scene.rgb)}
     clouds |= {name: cloud_rows(model.cloud) for name, model in scene.models.items()}
     for name, rows in clouds.items():
@@ -59,4 +65,3 @@ def write_example(
         table.writerow([row.model, *(f"{v:.4f}" for v in numbers)])
     text = buffer.getvalue()
     write_atomically(folder / "truth.csv", lambda path: path.write_text(text, encoding="utf-8"))
-    return scene
