@@ -14,6 +14,7 @@ from spinpipe.schemas.records import (
     Hits,
     ObjectModel,
     Plane,
+    Sampling,
     SceneFrame,
     SpinImage,
     TileIndex,
@@ -28,6 +29,7 @@ CAMERAS = Topic("/ingest/cameras", PosesInFrame, foxglove.encode_cameras, foxglo
 
 PLANE = record_topic("/ground/plane", Plane, pb.Plane)
 UPRIGHT = Topic("/ground/upright", FrameTransform, foxglove.encode_upright, foxglove.decode_upright)
+SAMPLING = record_topic("/ground/sampling", Sampling, pb.Sampling)
 
 SCORES = Topic("/scan/scores", PointCloud, foxglove.encode_scores, foxglove.decode_scores)
 SPIN_IMAGES = record_topic("/scan/spin_images", SpinImage, pb.SpinImage)

@@ -126,6 +126,21 @@ class Plane:
 
 
 @dataclass(frozen=True)
+class Sampling:
+    """How the cloud samples the world; tolerances follow from it."""
+
+    spacing_m: float
+    """Typical distance between neighbouring points on a horizontal surface."""
+    noise_m: float
+    """Standard deviation of the points about the surface."""
+
+    @property
+    def density(self) -> float:
+        """Points per square metre."""
+        return self.spacing_m**-2
+
+
+@dataclass(frozen=True)
 class Upright:
     """The rigid transform from local to world: rotation, then translation."""
 

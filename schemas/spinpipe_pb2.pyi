@@ -82,6 +82,14 @@ class Plane(_message.Message):
     evidence: _containers.RepeatedCompositeFieldContainer[Evidence]
     def __init__(self, normal: _Optional[_Iterable[float]] = ..., offset: _Optional[float] = ..., inliers: _Optional[int] = ..., points: _Optional[int] = ..., rms_m: _Optional[float] = ..., inlier_distance_m: _Optional[float] = ..., up_source: _Optional[str] = ..., evidence: _Optional[_Iterable[_Union[Evidence, _Mapping]]] = ...) -> None: ...
 
+class Sampling(_message.Message):
+    __slots__ = ("spacing_m", "noise_m")
+    SPACING_M_FIELD_NUMBER: _ClassVar[int]
+    NOISE_M_FIELD_NUMBER: _ClassVar[int]
+    spacing_m: float
+    noise_m: float
+    def __init__(self, spacing_m: _Optional[float] = ..., noise_m: _Optional[float] = ...) -> None: ...
+
 class Evidence(_message.Message):
     __slots__ = ("name", "value")
     NAME_FIELD_NUMBER: _ClassVar[int]

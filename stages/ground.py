@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 from scipy.spatial.transform import Rotation
 
-from spinpipe.schemas import CAMERAS, CLOUD, PLANE, TILES, UPRIGHT
-from spinpipe.schemas.records import Evidence, Plane, Upright
+from spinpipe.schemas import CAMERAS, CLOUD, PLANE, SAMPLING, TILES, UPRIGHT
+from spinpipe.schemas.records import Evidence, Plane, Sampling, Upright
 from spinpipe.stages.area_sample import AreaSample, sample_by_area
 from spinpipe.stages.ground_evidence import SLOPE_DEG, camera_up, solid_surface
 from spinpipe.stages.level import lowest_level
+from spinpipe.stages.neighbourhood import WorldCloud
 from spinpipe.stages.plane import (
     SIGMAS,
     FittedPlane,
@@ -24,7 +25,9 @@ from spinpipe.stages.plane import (
     ransac_planes,
     refine_plane,
 )
+from spinpipe.stages.sampled_squares import points_of_some_squares
 from spinpipe.stages.stage import Context, Section, StageError
+from spinpipe.stages.surroundings import measure_sampling
 from spinpipe.stages.upright import best_rival, rank, up_quaternion
 
 F32 = NDArray[np.float32]
@@ -40,13 +43,17 @@ WIDEST_DISTANCE = 0.02
 """Largest inlier distance that is tried when none is stated, as a share of the extent."""
 
 
+SAMPLING_POINTS = 2_000_000
+"""Points that density and noise are measured from."""
+
+
 class Ground:
     """Estimate the ground plane and the rotation that turns the scene upright."""
 
     name = "ground"
     version = 1
     inputs = (CLOUD, TILES, CAMERAS)
-    outputs = (PLANE, UPRIGHT)
+    outputs = (PLANE, UPRIGHT, SAMPLING)
 
     class Config(Section):
         """Where up is, or how to find it."""
@@ -88,11 +95,15 @@ class Ground:
             plane = _stated(ctx, points, local, sample.voxel)
         up = np.array(plane.normal)
         ctx.write(PLANE, plane)
-        ctx.write(UPRIGHT, Upright(up_quaternion(up), (0.0, 0.0, plane.offset)))
+        upright = Upright(up_quaternion(up), (0.0, 0.0, plane.offset))
+        ctx.write(UPRIGHT, upright)
+        sampling = _measure_sampling(ctx, upright)
+        ctx.write(SAMPLING, sampling)
         ctx.log(
             f"up is {format_vector(up)} in scene axes (from {plane.up_source});"
             f" ground rms {plane.rms_m:.3f} m, {plane.inliers / plane.points:.0%} of the surface"
         )
+        ctx.log(f"points {sampling.spacing_m:.3f} m apart, noise {sampling.noise_m:.3f} m")
 
 
 def _sample(ctx: Context[Ground.Config]) -> AreaSample:
@@ -115,6 +126,17 @@ def _sample(ctx: Context[Ground.Config]) -> AreaSample:
     if is_collinear(sample.points.astype(np.float64)):
         raise StageError("ground: all points lie on one line; the scene needs a surface")
     return sample
+
+
+def _measure_sampling(ctx: Context[Ground.Config], upright: Upright) -> Sampling:
+    index = ctx.read_one(TILES)
+    cloud = WorldCloud.of(ctx.read(CLOUD), index, upright)
+    diagonal_m = float(np.linalg.norm(index.high.max(axis=0) - index.low.min(axis=0)))
+    points = points_of_some_squares(cloud, diagonal_m, SAMPLING_POINTS)
+    try:
+        return measure_sampling(points)
+    except ValueError as error:
+        raise StageError(f"ground: {error}; the scene needs more points") from None
 
 
 def _estimate(ctx: Context[Ground.Config], points: F64, local: LocalPlanes, voxel: float) -> Plane:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spinpipe.schemas.records import F32, F64, CloudTile, TileIndex, Upright
 from spinpipe.stages.frames import to_world, transform
@@ -49,15 +50,28 @@ class WorldCloud:
 
     def inside(self, low: F64, high: F64) -> F32:
         """(N, 3) points of all tiles within a closed box, world; in the order of the tiles."""
-        hits = np.flatnonzero(np.all((self.low <= high) & (self.high >= low), axis=1))
-        found = [np.empty((0, 3), np.float32)]
-        for tile in hits:
-            xyz = self.points(int(tile))
-            found.append(xyz[np.all((xyz >= low) & (xyz <= high), axis=1)])
-        return np.concatenate(found)
+        return np.concatenate([np.empty((0, 3), np.float32), *self._cuts(low, high).values()])
 
-    def around(self, tile: int, radius_m: float, below_m: float, above_m: float = 0.0) -> F32:
-        """Points of one tile and of its surroundings: sideways, below and above, world."""
+    def around(
+        self, tile: int, radius_m: float, below_m: float, above_m: float = 0.0
+    ) -> tuple[F32, NDArray[np.bool_]]:
+        """Points of one tile and of its surroundings: sideways, below and above, world.
+
+        Returns
+        -------
+        points : (N, 3) float32
+        own : (N,) which of them are the tile's own; all its points are there, in their order.
+        """
         below = np.array([radius_m, radius_m, below_m])
         above = np.array([radius_m, radius_m, above_m])
-        return self.inside(self.low[tile] - below, self.high[tile] + above)
+        cuts = self._cuts(self.low[tile] - below, self.high[tile] + above)
+        own = [np.full(len(xyz), number == tile) for number, xyz in cuts.items()]
+        return np.concatenate(list(cuts.values())), np.concatenate(own)
+
+    def _cuts(self, low: F64, high: F64) -> dict[int, F32]:
+        """What lies within a closed box, by tile."""
+        cuts: dict[int, F32] = {}
+        for tile in np.flatnonzero(np.all((self.low <= high) & (self.high >= low), axis=1)):
+            xyz = self.points(int(tile))
+            cuts[int(tile)] = xyz[np.all((xyz >= low) & (xyz <= high), axis=1)]
+        return cuts

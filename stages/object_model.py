@@ -18,6 +18,7 @@ from spinpipe.stages.scene_source import open_scene
 from spinpipe.stages.seen_from_above import I64, seen_from_above
 from spinpipe.stages.shapes import Mesh, face_areas_and_normals, sample_surface, transform
 from spinpipe.stages.stage import InputPath, Section, StageError
+from spinpipe.stages.vehicles import VEHICLES, vehicle_mesh
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
@@ -30,7 +31,12 @@ class ModelConfig(Section):
     """One ``[[model]]``: an object to look for."""
 
     name: str = Field(description="name of the object: letters, digits, '_', '-' and '.'")
-    path: InputPath = Field(description="mesh (OBJ, STL, PLY, GLB, OFF) or cloud (PLY, LAS)")
+    path: InputPath | None = Field(
+        default=None, description="mesh (OBJ, STL, PLY, GLB, OFF) or cloud (PLY, LAS)"
+    )
+    shape: Literal["", *VEHICLES] = Field(  # pyright: ignore[reportInvalidTypeForm]
+        default="", description=f"instead of a path a shape that ships: {', '.join(VEHICLES)}"
+    )
     visible_from: Literal["all", "above"] = Field(
         default="all",
         description="which part of a mesh the photos show: all of it or what lies open above",
@@ -55,6 +61,12 @@ class ModelConfig(Section):
         return name
 
     @model_validator(mode="after")
+    def _one_source(self) -> ModelConfig:
+        if (self.path is None) == (self.shape == ""):
+            raise ValueError("give either a path or the shape of a model that ships")
+        return self
+
+    @model_validator(mode="after")
     def _not_parallel(self) -> ModelConfig:
         if self.up[-1] == self.forward[-1]:
             raise ValueError(
@@ -65,7 +77,7 @@ class ModelConfig(Section):
 
 
 def load_model(config: ModelConfig, rng: np.random.Generator) -> ObjectModel:
-    """Read an object's model and bring it to the object frame.
+    """Read or make an object's model and bring it to the object frame.
 
     A mesh is sampled uniformly by area; with ``visible_from = "above"`` only where the surface
     lies open to a sensor that looks straight down [Bovenkamp 2010, section 3.2]. Of a cloud all
@@ -76,12 +88,15 @@ def load_model(config: ModelConfig, rng: np.random.Generator) -> ObjectModel:
     StageError
         When the file is missing, unreadable, empty, without area, or holds NaN.
     """
-    path = config.path
-    where = f"[[model]] '{config.name}': {path}"
-    if not path.is_file():
-        raise StageError(f"{where}: no such file; correct the model's path")
-    mesh = _read_mesh(path, where)
-    corners = mesh.vertices if mesh else _read_cloud(path, where)
+    where = f"[[model]] '{config.name}': {config.path or config.shape}"
+    if config.path is None:
+        mesh = Mesh(*vehicle_mesh(config.shape))
+        corners = mesh.vertices
+    else:
+        if not config.path.is_file():
+            raise StageError(f"{where}: no such file; correct the model's path")
+        mesh = _read_mesh(config.path, where)
+        corners = mesh.vertices if mesh else _read_cloud(config.path, where)
     if not np.isfinite(corners).all():
         raise StageError(f"{where}: holds coordinates that are not finite; repair the model")
     T_object_model = _object_from_model(corners, config)

@@ -6,6 +6,7 @@ model's topmost point about the vertical; scene points whose own image correlate
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
@@ -13,9 +14,19 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from spinpipe.schemas import CLOUD, HITS, MODELS, SCORES, SPIN_IMAGES, TILES, UPRIGHT
+from spinpipe.schemas import (
+    CLOUD,
+    HITS,
+    MODELS,
+    SAMPLING,
+    SCORES,
+    SPIN_IMAGES,
+    TILES,
+    UPRIGHT,
+)
 from spinpipe.schemas.colormap import viridis
 from spinpipe.schemas.records import F32, F64, Hits, ObjectModel, ScoreTile, SpinImage
+from spinpipe.stages.model_heights import HeightBands
 from spinpipe.stages.neighbourhood import WorldCloud
 from spinpipe.stages.spin_image import (
     SpinGrid,
@@ -28,45 +39,70 @@ from spinpipe.stages.spin_kernel import build_index, correlate
 from spinpipe.stages.stage import Context, Section
 from spinpipe.stages.voxels import voxel_representatives
 
+RADIUS_HALF_WIDTHS = 1.45
+HEIGHT_SHARE = 0.7
+BINS_ALONG = 13
+
 
 class Scan:
     """Correlates the scene's spin images with those of the models."""
 
     name = "scan"
     version = 1
-    inputs = (CLOUD, TILES, MODELS, UPRIGHT)
+    inputs = (CLOUD, TILES, MODELS, UPRIGHT, SAMPLING)
     outputs = (SCORES, SPIN_IMAGES, HITS)
 
     class Config(Section):
-        """What a spin image covers and when it counts as a hit."""
+        """What a spin image covers, where it is taken and when it counts as a hit."""
 
         radius_m: float | None = Field(
-            None, gt=0, le=1000, description="horizontal reach; none: half the model's diagonal"
+            None,
+            gt=0,
+            le=1000,
+            description="horizontal reach; none: 1.45 times half the narrow side of the "
+            "smallest model, so that what stands beside an instance stays outside",
         )
         height_m: float | None = Field(
-            None, gt=0, le=1000, description="reach below the top; none: 0.7 of the model's height"
+            None,
+            gt=0,
+            le=1000,
+            description="reach below the top; none: 0.7 of the lowest model's height",
         )
         bin_m: float | None = Field(
-            None, gt=0, le=100, description="side of a bin; none: 1/25 of the radius"
+            None, gt=0, le=100, description="side of a bin; none: 1/13 of the radius"
         )
         min_correlation: float = Field(
-            0.6, gt=-1, lt=1, description="from which an origin is a hit"
+            0.5, gt=0, lt=1, description="from which an origin is a hit: verification decides"
+        )
+        heights: Literal["model", "any"] = Field(
+            "model",
+            description="model: only origins as high above the local ground as the top of a model "
+            "that stands there; any: every height, as in the paper",
         )
         origins: Literal["all", "voxel"] = Field(
             "all", description="every point, or one in each voxel of side bin_m"
+        )
+        search: Literal["exhaustive", "pruned"] = Field(
+            "exhaustive",
+            description="exhaustive: the correlation of every origin; pruned: of hits only, the "
+            "same ones, without looking at places that provably hold none",
         )
 
     def run(self, ctx: Context[Config]) -> None:
         """Score every tile's origins, then write the spin images and the hits."""
         models = list(ctx.read(MODELS))
-        templates = [model_template(model, ctx.config) for model in models]
+        grid = spin_grid(models, ctx.config)
+        templates = [template_from_cloud(model.points, grid) for model in models]
         cloud = WorldCloud.of(ctx.read(CLOUD), ctx.read_one(TILES), ctx.read_one(UPRIGHT))
+        sampling = ctx.read_one(SAMPLING)
         task = _TileTask(
-            cloud,
-            tuple(model.name for model in models),
-            tuple(templates),
-            ctx.config.origins == "voxel",
-            ctx.threads,
+            cloud=cloud,
+            models=tuple(model.name for model in models),
+            templates=tuple(templates),
+            bands=HeightBands.of(models, sampling) if ctx.config.heights == "model" else None,
+            voxels=ctx.config.origins == "voxel",
+            min_correlation=(ctx.config.min_correlation if ctx.config.search == "pruned" else None),
+            threads=ctx.threads,
         )
         hits = _HitList(task.models, ctx.config.min_correlation)
         progress = ctx.progress("tiles", len(cloud))
@@ -99,35 +135,52 @@ class _TileTask:
     cloud: WorldCloud
     models: tuple[str, ...]
     templates: tuple[SpinTemplate, ...]
+    bands: HeightBands | None
     voxels: bool
+    min_correlation: float | None
+    """None: exhaustive."""
     threads: int
 
 
 def _score_tile(task: _TileTask, tile: int) -> ScoreTile:
-    """Correlation of every origin of one tile with every template."""
-    radius_m = max(t.grid.radius_m for t in task.templates)
-    height_m = max(t.grid.height_m for t in task.templates)
-    side_m = min(t.grid.bin_m for t in task.templates)
-    around = task.cloud.around(tile, radius_m, height_m, side_m if task.voxels else 0.0)
-    origins = task.cloud.points(tile)
+    """Correlation of every origin of one tile with every template; if pruned, of hits."""
+    grids = [t.grid for t in task.templates]
+    radius_m, height_m = max(g.radius_m for g in grids), max(g.height_m for g in grids)
+    side_m = min(g.bin_m for g in grids)
+    if task.bands:
+        radius_m, height_m = max(radius_m, task.bands.halo_m), np.inf
+    around, own = task.cloud.around(tile, radius_m, height_m, side_m if task.voxels else 0.0)
+    chosen = own & task.bands.select(around) if task.bands else own
+    origins = around[chosen]
     if task.voxels:
         origins = origins[voxel_representatives(origins, around, side_m)]
-    index = build_index(around)
-    correlation = correlate(index, origins, task.templates, task.threads).T
+    correlation = correlate(
+        build_index(around),
+        origins,
+        task.templates,
+        task.threads,
+        min_correlation=task.min_correlation,
+    ).T
     best = correlation.max(axis=1, initial=-1.0)
+    if task.min_correlation is not None:
+        hit = best >= np.float32(task.min_correlation)
+        origins, correlation, best = origins[hit], correlation[hit], best[hit]
     return ScoreTile(task.models, origins, np.ascontiguousarray(correlation), viridis(best))
 
 
-def model_template(model: ObjectModel, config: Scan.Config) -> SpinTemplate:
-    """Spin image of a model at its topmost point, sizes from the model where none are given."""
-    size = np.ptp(model.points, axis=0)
-    radius_m = config.radius_m or float(np.hypot(size[0], size[1])) / 2
-    grid = SpinGrid(
+def spin_grid(models: Sequence[ObjectModel], config: Scan.Config) -> SpinGrid:
+    """Extent and bins of the spin images; sizes not stated follow from the smallest model.
+
+    One grid for all models: a point is binned once, however many there are.
+    """
+    sizes = [np.ptp(model.points, axis=0) for model in models]
+    narrow_m = min(float(min(size[0], size[1])) / 2 for size in sizes)
+    radius_m = config.radius_m or RADIUS_HALF_WIDTHS * narrow_m
+    return SpinGrid(
         radius_m=radius_m,
-        height_m=config.height_m or 0.7 * float(size[2]),
-        bin_m=config.bin_m or radius_m / 25,
+        height_m=config.height_m or HEIGHT_SHARE * min(float(size[2]) for size in sizes),
+        bin_m=config.bin_m or radius_m / BINS_ALONG,
     )
-    return template_from_cloud(model.points, grid)
 
 
 def _model_image(model: ObjectModel, template: SpinTemplate) -> SpinImage:

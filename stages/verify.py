@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 from pydantic import Field
-from scipy.spatial.transform import Rotation
 
 from spinpipe.schemas import (
     CLOUD,
@@ -15,6 +14,7 @@ from spinpipe.schemas import (
     DETECTIONS,
     INSTANCES,
     MODELS,
+    SAMPLING,
     SCENE,
     SPIN_IMAGES,
     TILES,
@@ -23,10 +23,12 @@ from spinpipe.schemas import (
 )
 from spinpipe.schemas.records import Detection, FitTrace, InstancePoses
 from spinpipe.stages.candidates import Candidates
+from spinpipe.stages.evidence_verification import verify_by_evidence
 from spinpipe.stages.frames import inverse, world_from_scene
 from spinpipe.stages.icp_verification import IcpRules, verify_by_residual
 from spinpipe.stages.neighbourhood import WorldCloud
-from spinpipe.stages.stage import Context, Section
+from spinpipe.stages.recognition import Rules
+from spinpipe.stages.stage import Context, Progress, Section
 
 
 class Verify:
@@ -34,20 +36,34 @@ class Verify:
 
     name = "verify"
     version = 1
-    inputs = (CLOUD, TILES, SCENE, MODELS, UPRIGHT, SPIN_IMAGES, CLUSTERS)
+    inputs = (CLOUD, TILES, SCENE, MODELS, UPRIGHT, SAMPLING, SPIN_IMAGES, CLUSTERS)
     outputs = (TRACES, DETECTIONS, INSTANCES)
 
     class Config(Section):
         """How candidates are fitted and judged."""
 
-        method: Literal["trimmed", "kiss-icp"] = Field(
-            "trimmed", description="registration: the paper's trimmed ICP, or KISS-ICP's"
+        method: Literal["evidence", "trimmed", "kiss-icp"] = Field(
+            "evidence",
+            description="evidence: registration to convergence, judged by what the scene shows "
+            "for and against it; trimmed: the paper's ICP, judged by its residual; kiss-icp: the "
+            "same with KISS-ICP's registration",
         )
-        starts: int = Field(12, ge=1, le=360, description="headings to start from")
-        iterations: int = Field(15, ge=1, le=1000, description="of each start")
-        keep: float = Field(0.8, gt=0, le=1, description="share of the pairs that count")
-        samples: int = Field(500, ge=10, le=1_000_000, description="points of the model")
-        max_rms_m: float = Field(0.115, gt=0, le=100, description="above it: rejected")
+        min_score: float = Field(0.5, ge=0, le=1, description="evidence: below it: rejected")
+        min_observed: float = Field(
+            0.1, ge=0, le=1, description="evidence: least share of the visible surface observed"
+        )
+        min_margin: float = Field(
+            0.01,
+            ge=0,
+            le=1,
+            description="evidence: least lead in score over another heading or type; below it: "
+            "ambiguous",
+        )
+        starts: int = Field(12, ge=1, le=360, description="ICP: headings to start from")
+        iterations: int = Field(15, ge=1, le=1000, description="ICP: of each start")
+        keep: float = Field(0.8, gt=0, le=1, description="ICP: share of the pairs that count")
+        samples: int = Field(500, ge=10, le=1_000_000, description="ICP: points of the model")
+        max_rms_m: float = Field(0.115, gt=0, le=100, description="ICP: above it: rejected")
 
     def run(self, ctx: Context[Config]) -> None:
         """Fit every candidate, then write traces, detections and the poses of the accepted."""
@@ -60,24 +76,37 @@ class Verify:
         )
         progress = ctx.progress("candidates", len(candidates.clusters))
         detections: list[Detection] = []
-        for detection, trace in _verified(candidates, ctx):
+        for detection, trace in _verified(candidates, ctx, progress):
             if trace is not None:
                 ctx.write(TRACES, trace)
             detections.append(detection)
-            progress.advance()
         for detection in detections:
             ctx.write(DETECTIONS, detection)
-        accepted = [d.T_world_object for d in detections if d.fate == "accepted"]
-        poses = np.array(accepted).reshape(-1, 4, 4)
-        quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat().reshape(-1, 4)
-        ctx.write(INSTANCES, InstancePoses(poses[:, :3, 3], quaternions))
+        accepted = [d for d in detections if d.fate == "accepted"]
+        positions = np.array([d.position_world for d in accepted]).reshape(-1, 3)
+        half = np.radians([d.heading_deg for d in accepted]) / 2.0
+        zero = np.zeros(len(half))
+        quaternions = np.stack([zero, zero, np.sin(half), np.cos(half)], axis=1)
+        ctx.write(INSTANCES, InstancePoses(positions, quaternions))
         ctx.log(f"{len(accepted)} of {len(detections)} candidates accepted")
 
 
 def _verified(
-    candidates: Candidates, ctx: Context[Verify.Config]
+    candidates: Candidates, ctx: Context[Verify.Config], progress: Progress
 ) -> Iterator[tuple[Detection, FitTrace | None]]:
     config = ctx.config
+    if config.method == "evidence":
+        yield from verify_by_evidence(
+            candidates,
+            ctx.read_one(SAMPLING),
+            Rules(config.min_score, config.min_observed, config.min_margin),
+            ctx.rng,
+            threads=ctx.threads,
+            memory_bytes=ctx.memory_bytes,
+            map_blocks=ctx.map,
+            advance=progress.advance,
+        )
+        return
     rules = IcpRules(
         method=config.method,
         starts=config.starts,
@@ -86,4 +115,7 @@ def _verified(
         samples=config.samples,
         max_rms_m=config.max_rms_m,
     )
-    return verify_by_residual(candidates, list(ctx.read(SPIN_IMAGES)), rules, ctx.rng, ctx.threads)
+    images = list(ctx.read(SPIN_IMAGES))
+    for result in verify_by_residual(candidates, images, rules, ctx.rng, ctx.threads):
+        yield result
+        progress.advance()

@@ -1,0 +1,159 @@
+"""Verification by evidence: what the scene shows for and against every candidate and model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+
+from spinpipe.schemas.records import F64, I64, Cluster, Detection, FitTrace, Part, Sampling
+from spinpipe.stages.candidates import Candidates, vector
+from spinpipe.stages.frames import heading_deg, transform
+from spinpipe.stages.hypotheses import EVIDENCE
+from spinpipe.stages.model_field import build_model_field
+from spinpipe.stages.model_surface import model_surface
+from spinpipe.stages.neighbourhood import WorldCloud
+from spinpipe.stages.recognition import (
+    Examiner,
+    Hypotheses,
+    KnownObject,
+    Rules,
+    Verdict,
+    blocks,
+    decide,
+)
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+BYTES_A_POINT = 400
+"""Generous upper bound of the memory that one point of a block takes."""
+LARGEST_BLOCK_REACHES = 8.0
+
+
+@dataclass(frozen=True)
+class _BlockTask:
+    """What a worker needs to examine any block; can be pickled."""
+
+    examiner: Examiner
+    cloud: WorldCloud
+    places: F64
+    threads: int
+
+
+def verify_by_evidence(
+    candidates: Candidates,
+    sampling: Sampling,
+    rules: Rules,
+    rng: np.random.Generator,
+    *,
+    threads: int,
+    memory_bytes: int,
+    map_blocks: Callable[[Callable[[I64], Hypotheses], Iterable[I64]], Iterator[Hypotheses]],
+    advance: Callable[[int], None],
+) -> Iterator[tuple[Detection, FitTrace | None]]:
+    """Try every candidate as every model and decide about all of them together; yields in order.
+
+    Parameters
+    ----------
+    candidates : what to verify; the model of a cluster is only what proposed it.
+    sampling : of the cloud.
+    rules : when to accept.
+    rng : draws the surface of mesh models.
+    threads, memory_bytes : limits, which never change a result.
+    map_blocks : maps a function over blocks of candidates, in order.
+    advance : told how many more candidates are examined.
+    """
+    if not candidates.clusters:
+        return
+    objects = [
+        KnownObject(
+            build_model_field(model.name, *model_surface(model, rng)),
+            model.stretch,
+            "above" if model.visible_from == "above" else "all",
+        )
+        for model in candidates.models
+    ]
+    clusters = list(candidates.clusters)
+    places = np.array([cluster.position for cluster in clusters], np.float64)
+    examiner = Examiner(objects, sampling)
+    task = _BlockTask(examiner, candidates.cloud, places, threads)
+    found: list[Hypotheses] = []
+    rows_of_blocks = list(blocks(places, _block_m(examiner, sampling, memory_bytes)))
+    for rows, table in zip(
+        rows_of_blocks, map_blocks(partial(_examine, task), rows_of_blocks), strict=True
+    ):
+        found.append(replace(table, candidate=rows[table.candidate]))
+        advance(len(rows))
+    table = Hypotheses.joined(found)
+    for verdict in decide(examiner, table, places, rules):
+        cluster = clusters[verdict.candidate]
+        rivals = table.rows(table.candidate == verdict.candidate)
+        yield _detection(candidates, cluster, verdict), _trace(cluster, verdict, rivals)
+
+
+def _examine(task: _BlockTask, rows: I64) -> Hypotheses:
+    """Hypotheses about the candidates of one block."""
+    places = task.places[rows]
+    reach = np.array([task.examiner.reach_m, task.examiner.reach_m, np.inf])
+    points = task.cloud.inside(places.min(axis=0) - reach, places.max(axis=0) + reach)
+    return task.examiner.examine(points, places, task.threads)
+
+
+def _block_m(examiner: Examiner, sampling: Sampling, memory_bytes: int) -> float:
+    """Side of a block: large against its border, as far as a quarter of the memory allows."""
+    most = memory_bytes / 4 / BYTES_A_POINT
+    widest = np.sqrt(most / sampling.density) - 2.0 * examiner.reach_m
+    return float(np.clip(widest, examiner.reach_m, LARGEST_BLOCK_REACHES * examiner.reach_m))
+
+
+def _detection(candidates: Candidates, cluster: Cluster, verdict: Verdict) -> Detection:
+    model = candidates.models[verdict.model]
+    pose = verdict.T_world_object
+    T_scene_object = candidates.T_scene_world @ pose
+    evidence = verdict.evidence
+    claimed = evidence.get("claimed", 0.0)
+    other = candidates.models[verdict.alternative].name if verdict.alternative >= 0 else ""
+    return Detection(
+        id=cluster.id,
+        cluster=cluster.id,
+        model=model.name,
+        fate=verdict.fate,
+        reason=verdict.reason,
+        T_world_object=pose,
+        T_scene_model=T_scene_object @ model.T_object_model,
+        position_world=vector(pose[:3, 3]),
+        position_scene=vector(transform(candidates.T_scene_world, pose[None, :3, 3])[0]),
+        heading_deg=heading_deg(pose),
+        heading_margin=verdict.heading_margin,
+        correlation=cluster.correlation,
+        rms_m=evidence.get("rms_m", float("inf")),
+        inliers=int(evidence.get("explained", 0.0)),
+        runner_up_heading_deg=float(np.degrees(verdict.runner_up[3]) % 360.0),
+        runner_up_rms_m=verdict.runner_up_rms_m,
+        coverage_model=evidence.get("supported", 0.0),
+        coverage_scene=evidence.get("explained", 0.0) / claimed if claimed > 0 else 0.0,
+        observed=verdict.observed,
+        score=verdict.score,
+        parts=tuple(Part(name, value) for name, value in verdict.parts.items()),
+        size_m=vector(verdict.size_m),
+        alternative=other,
+        alternative_margin=verdict.alternative_margin,
+    )
+
+
+def _trace(cluster: Cluster, verdict: Verdict, rivals: Hypotheses) -> FitTrace | None:
+    """Where every start with the chosen model ended."""
+    rows = np.flatnonzero(rivals.model == verdict.model)
+    if len(rows) == 0:
+        return None
+    rms_m = rivals.evidence[rows, EVIDENCE.index("rms_m")]
+    return FitTrace(
+        cluster=cluster.id,
+        start_heading_deg=np.degrees(rivals.pose[rows, 3]) % 360.0,
+        rms_m=rms_m[:, None].astype(np.float32),
+        poses=verdict.T_world_object[None],
+    )

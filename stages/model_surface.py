@@ -1,0 +1,38 @@
+"""A model's whole surface as dense points with normals, whatever the model was given as."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from spinpipe.schemas.records import F64, ObjectModel
+from spinpipe.stages.shapes import sample_surface
+
+SURFACE_POINTS = 60_000
+NEIGHBOURS = 12
+"""Points of a cloud that a normal is estimated from."""
+
+
+def model_surface(model: ObjectModel, rng: np.random.Generator) -> tuple[F64, F64]:
+    """Points (N, 3) and unit normals (N, 3) of a model, object frame, metres.
+
+    A mesh is sampled anew, all of it. A cloud comes as it is; where it has no normals they are
+    those of planes through neighbouring points, of either sign.
+    """
+    if len(model.faces):
+        return sample_surface(model.vertices.astype(np.float64), model.faces, SURFACE_POINTS, rng)
+    points = model.points.astype(np.float64)
+    normals = model.normals.astype(np.float64)
+    known = np.linalg.norm(normals, axis=1) > 0
+    if not known.all():
+        normals[~known] = _plane_normals(points, points[~known])
+    return points, normals
+
+
+def _plane_normals(points: F64, at: F64) -> F64:
+    """Normals of the planes through the nearest ``points`` of each place."""
+    _, rows = KDTree(points).query(at, k=min(NEIGHBOURS, len(points)))
+    near = points[np.asarray(rows).reshape(len(at), -1)]
+    centred = near - near.mean(axis=1, keepdims=True)
+    # eigenvectors come in ascending order: the first is the direction of least spread
+    return np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))[1][:, :, 0]
