@@ -20,6 +20,9 @@ from numpy.typing import NDArray
 
 from spinpipe.stages.spin_image import FLAT_VARIANCE
 
+inner = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+"""Compiles what only other kernels call; ``spin_scan`` caches the outermost ones."""
+
 LANES = 16
 """Idle counters over which points outside the image are spread."""
 BUFFER = 1024
@@ -98,12 +101,9 @@ class Scratch(NamedTuple):
     sums: NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True)
-def make_scratch(sizes):
-    """Allocate what ``correlate_origin`` needs for grids of these sizes."""
-    k = 0
-    for g in range(len(sizes)):
-        k = max(k, np.int64(sizes[g, 0]) * sizes[g, 1])
+def make_scratch(sizes: NDArray[np.int32]) -> Scratch:
+    """Allocate one thread's memory for grids of these (rows, cols)."""
+    k = int(sizes.prod(axis=1).max())
     return Scratch(
         np.empty(BUFFER, np.uint16),
         np.empty((COPIES, k + LANES), np.uint32),
@@ -112,15 +112,14 @@ def make_scratch(sizes):
     )
 
 
-@njit(cache=True, nogil=True)
+@inner
 def grid_bins(templates, g):
     """Return grid ``g`` of the table as ``Bins``."""
-    radius_sq, height, scale = templates.numbers[g]
-    rows, cols = templates.sizes[g]
-    return Bins(radius_sq, height, scale, rows, cols)
+    numbers, sizes = templates.numbers, templates.sizes
+    return Bins(numbers[g, 0], numbers[g, 1], numbers[g, 2], sizes[g, 0], sizes[g, 1])
 
 
-@njit(cache=True, nogil=True)
+@inner
 def bounding_box(origins, members):
     """Return the least and greatest x, y, z of some origins: (6,) float32."""
     box = np.empty(6, np.float32)
@@ -133,7 +132,27 @@ def bounding_box(origins, members):
     return box
 
 
-@njit(cache=True, nogil=True)
+@inner
+def fill(line, value):
+    """Set all of a line."""
+    for i in range(len(line)):
+        line[i] = value
+
+
+@inner
+def _first_at_least(ascending, value):
+    """Find the first element that is not less than ``value``."""
+    begin, end = 0, len(ascending)
+    while begin < end:
+        mid = (begin + end) >> 1
+        if ascending[mid] < value:
+            begin = mid + 1
+        else:
+            end = mid
+    return begin
+
+
+@inner
 def _window(z, begin, end, low, high, height):
     """Narrow the ascending ``z[begin:end]`` to what origins between ``low`` and ``high`` see."""
     last = end
@@ -153,15 +172,15 @@ def _window(z, begin, end, low, high, height):
     return first, end
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _collect_runs(index, box, radius, height):
-    """Find the runs of points (R, 2) that origins inside ``box`` may reach."""
+    """Find the runs of points that origins inside ``box`` may reach: their number, (2, cap)."""
     z = index.xyz[2]
     cell_m, nx, ny = index.cell_m, index.cells[0], index.cells[1]
     reach = radius * (1.0 + SLACK) + 1e-9 * cell_m * max(nx, ny)
     x0, x1 = np.float64(box[0]) - index.corner[0], np.float64(box[1]) - index.corner[0]
     y0, y1 = np.float64(box[2]) - index.corner[1], np.float64(box[3]) - index.corner[1]
-    runs = np.empty((16, 2), np.int64)
+    runs = np.empty((2, 16), np.int64)
     found = 0
     last_ix = min(np.floor((x1 + reach) / cell_m), nx - 1.0)
     ix = np.int64(max(np.floor((x0 - reach) / cell_m), 0.0)) if last_ix >= 0 else nx
@@ -172,7 +191,7 @@ def _collect_runs(index, box, radius, height):
         last_iy = min(np.floor((y1 + half) / cell_m), ny - 1.0)
         if first_iy <= last_iy:
             last_key = ix * ny + np.int64(last_iy)
-            c = np.searchsorted(index.key, ix * ny + np.int64(first_iy))
+            c = _first_at_least(index.key, ix * ny + np.int64(first_iy))
             while c < len(index.key) and index.key[c] <= last_key:
                 if box[5] - index.bounds[4, c] > np.float32(0) and (
                     box[4] - index.bounds[5, c] < height
@@ -181,18 +200,19 @@ def _collect_runs(index, box, radius, height):
                         z, index.start[c], index.start[c + 1], box[4], box[5], height
                     )
                     if begin < end:
-                        if found == len(runs):
-                            longer = np.empty((2 * found, 2), np.int64)
-                            longer[:found] = runs
+                        if found == runs.shape[1]:
+                            longer = np.empty((2, 2 * found), np.int64)
+                            for r in range(found):
+                                longer[0, r], longer[1, r] = runs[0, r], runs[1, r]
                             runs = longer
-                        runs[found, 0], runs[found, 1] = begin, end
+                        runs[0, found], runs[1, found] = begin, end
                         found += 1
                 c += 1
         ix += 1
-    return runs[:found]
+    return found, runs
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _number_buckets(x, y, z, box, radius_sq, per_m, numbers):
     """Find each point's bucket of depth; BUCKETS for those out of reach of ``box`` (vectorised)."""
     x0, x1, y0, y1, top = box[0], box[1], box[2], box[3], box[5]
@@ -204,48 +224,48 @@ def _number_buckets(x, y, z, box, radius_sq, per_m, numbers):
         numbers[j] = np.uint16(bucket if dx * dx + dy * dy < radius_sq else BUCKETS)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def gather(index, box, radius_sq, height, origins):
     """Gather what ``origins`` many origins inside ``box`` can reach: ``Nearby``."""
     x, y, z = index.xyz[0], index.xyz[1], index.xyz[2]
-    runs = _collect_runs(index, box, np.sqrt(np.float64(radius_sq)), height)
+    found, runs = _collect_runs(index, box, np.sqrt(np.float64(radius_sq)), height)
     total = 0
-    for r in range(len(runs)):
-        total += runs[r, 1] - runs[r, 0]
+    for r in range(found):
+        total += runs[1, r] - runs[0, r]
     near = np.empty((3, total + PAD), np.float32)
     u, v, w = near[0], near[1], near[2]
-    near[:, total:] = np.float32(0)
+    for axis in range(3):
+        fill(near[axis, total:], np.float32(0))
     first = np.empty(BUCKETS + 2, np.int64)
     n = 0
     if origins < ORDER_FROM:  # one bucket holds all
-        for r in range(len(runs)):
-            begin, end = runs[r]
-            u[n : n + end - begin] = x[begin:end]
-            v[n : n + end - begin] = y[begin:end]
-            w[n : n + end - begin] = z[begin:end]
-            n += end - begin
-        first[1:] = total
+        for r in range(found):
+            begin, end = runs[0, r], runs[1, r]
+            for j in range(begin, end):
+                u[n], v[n], w[n] = x[j], y[j], z[j]
+                n += 1
+        fill(first, total)
         first[0] = 0
         return Nearby(u, v, w, first[: BUCKETS + 1], box[5], np.float32(0))
     per_m = np.float32((BUCKETS - 1) / (np.float64(box[5]) - np.float64(box[4]) + height))
     numbers = np.empty(total + PAD, np.uint16)
-    for r in range(len(runs)):
-        begin, end = runs[r]
+    for r in range(found):
+        begin, end = runs[0, r], runs[1, r]
         whole = (end - begin + LANES - 1) // LANES * LANES
         _number_buckets(
             x[begin : begin + whole], y[begin : begin + whole], z[begin : begin + whole],
             box, radius_sq, per_m, numbers[n : n + whole],
         )  # fmt: skip
         n += end - begin
-    first[:] = 0
+    fill(first, 0)
     for j in range(total):
         first[np.uint64(numbers[j]) + np.uint64(1)] += 1
     for bucket in range(1, BUCKETS + 2):
         first[bucket] += first[bucket - 1]
     place = first.copy()
     n = 0
-    for r in range(len(runs)):
-        for j in range(runs[r, 0], runs[r, 1]):
+    for r in range(found):
+        for j in range(runs[0, r], runs[1, r]):
             to = np.uint64(place[numbers[n]])
             place[numbers[n]] += 1
             u[to], v[to], w[to] = x[j], y[j], z[j]
@@ -253,7 +273,7 @@ def gather(index, box, radius_sq, height, origins):
     return Nearby(u, v, w, first[: BUCKETS + 1], box[5], per_m)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def depth_window(near, low, high, height):
     """Find the gathered points that hold all an origin between ``low`` and ``high`` can see."""
     begin = np.int64((near.top - high) * near.per_m)
@@ -261,7 +281,7 @@ def depth_window(near, low, high, height):
     return near.first[begin], near.first[min(end, len(near.first) - 1)]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _bin_points(x, y, z, ox, oy, oz, bins, numbers):
     """Find each point's bin number, beyond the bins for those outside the image (vectorised)."""
     radius_sq, height, scale, cols = bins.radius_sq, bins.height, bins.scale, bins.cols
@@ -276,7 +296,7 @@ def _bin_points(x, y, z, ox, oy, oz, bins, numbers):
         numbers[j] = np.uint16(number if inside else outside + np.int32(j & (LANES - 1)))
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _count_numbers(numbers, counts):
     """Add bin numbers to the interleaved histograms ``counts`` (COPIES, bins)."""
     h0, h1, h2, h3 = counts[0], counts[1], counts[2], counts[3]
@@ -290,16 +310,17 @@ def _count_numbers(numbers, counts):
         h0[numbers[j]] += np.uint32(1)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def count_origin(near, ox, oy, oz, bins, scratch):
     """Count one origin's spin image into ``scratch.image``; return the points visited."""
     begin, end = depth_window(near, oz, oz, bins.height)
     k = np.int64(bins.rows) * bins.cols
     image, counts = scratch.image, scratch.counts
     if begin >= end:
-        image[:k] = 0
+        fill(image[:k], 0)
         return 0
-    counts[:, : k + LANES] = 0
+    for copy in range(COPIES):
+        fill(counts[copy, : k + LANES], 0)
     for at in range(begin, end, BUFFER):
         n = min(end - at, BUFFER)
         whole = (n + LANES - 1) // LANES * LANES
@@ -314,7 +335,7 @@ def count_origin(near, ox, oy, oz, bins, scratch):
     return end - begin
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _pearson(image, weights, values, sums):
     """Correlation of counts with a template, see ``spin_image.correlation``.
 
@@ -345,7 +366,7 @@ def _pearson(image, weights, values, sums):
     return np.float32(min(max(product[0] / np.sqrt(variance), -1.0), 1.0))
 
 
-@njit(cache=True, nogil=True)
+@inner
 def correlate_origin(near, ox, oy, oz, templates, wanted, scratch, out):
     """Correlate one origin with the wanted templates into ``out`` (T,); return the visits."""
     visits = 0

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-CELL_M = 0.5
-"""Side of a cell unless given."""
+POINTS_PER_CELL = 64
+"""Aim of the side of a cell unless given."""
 
 PAD = 64
 """Points readable past the end: kernels read whole blocks of lanes."""
@@ -66,7 +66,7 @@ def build_index(points: NDArray[Any], cell_m: float | None = None) -> SpinIndex:
     points : (N, 3) array
         Upright, z up, metres; taken as float32. May be empty.
     cell_m : float, optional
-        Side of a cell, metres. It changes the speed, never a result.
+        Side of a cell, metres; from the density if not given. It changes the speed, never a result.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def build_index(points: NDArray[Any], cell_m: float | None = None) -> SpinIndex:
     cloud = np.asarray(points, dtype=np.float32).reshape(-1, 3)
     if not np.isfinite(cloud).all():
         raise ValueError("build_index: the cloud holds NaN or infinite coordinates; drop them")
-    side = cell_m or CELL_M
+    side = cell_m or _cell_from_density(cloud)
     if len(cloud) == 0:
         return SpinIndex(
             xyz=np.zeros((3, PAD), np.float32),
@@ -123,3 +123,15 @@ def _order(key: NDArray[np.int64], cells: int, z: NDArray[np.float32]) -> NDArra
     bits = np.ascontiguousarray(z).view(np.int32)
     ordered = np.where(bits < 0, ~bits, bits | np.int32(-(2**31))).view(np.uint32)
     return np.argsort((key.astype(np.uint64) << np.uint64(32)) | ordered)
+
+
+def _cell_from_density(cloud: NDArray[np.float32]) -> float:
+    """Side of a cell in metres, from the middle nine tenths along x and y: outliers are ignored."""
+    if len(cloud) == 0:
+        return 1.0
+    sample = cloud[:: max(1, len(cloud) // 10_000), :2].astype(np.float64)
+    low, high = np.quantile(sample, [0.05, 0.95], axis=0)
+    width, depth = high - low
+    share = POINTS_PER_CELL / len(cloud)
+    side = max(np.sqrt(width * depth * share / 0.81), max(width, depth) * share / 0.9)
+    return float(side) if side > 0 else 1.0

@@ -17,9 +17,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.stages.spin_count import IndexArrays, Templates
+from spinpipe.stages.spin_count import IndexArrays, Templates, make_scratch
 from spinpipe.stages.spin_image import SpinGrid, SpinTemplate
 from spinpipe.stages.spin_index import SpinIndex, build_index
+from spinpipe.stages.spin_pruning import make_test_scratch
 from spinpipe.stages.spin_scan import count_blocks, scan_blocks
 
 __all__ = ["BELOW", "ScanWork", "SpinIndex", "build_index", "correlate", "histograms"]
@@ -63,7 +64,8 @@ def histograms(index: SpinIndex, origins: NDArray[Any], grid: SpinGrid) -> NDArr
     """
     blocks = OriginBlocks.of(origins, grid.radius_m / 5, 256)
     images = np.zeros((len(blocks.order), grid.k), np.uint32)
-    count_blocks(_arrays(index), *blocks.arrays, _tables([], [grid], None), images)
+    tables = _tables([], [grid], None)
+    count_blocks(_arrays(index), *blocks.arrays, tables, make_scratch(tables.sizes), images)
     return images.reshape(-1, *grid.shape)
 
 
@@ -123,9 +125,10 @@ def correlate(
     def scan(chunk: tuple[int, int]) -> tuple[int, NDArray[np.int64]]:
         first, last = chunk
         origins, order, start = blocks.arrays
-        cost = scan_blocks(
+        cost = np.zeros(3, np.int64)
+        scan_blocks(
             arrays, origins, order, start[first : last + 1], tables, min_correlation is not None,
-            found,
+            make_scratch(tables.sizes), make_test_scratch(tables.sizes), found, cost,
         )  # fmt: skip
         return int(start[last] - start[first]), cost
 

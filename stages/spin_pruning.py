@@ -24,10 +24,17 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from spinpipe.stages.spin_count import BUFFER, LANES, correlate_origin, depth_window, grid_bins
+from spinpipe.stages.spin_count import (
+    BUFFER,
+    LANES,
+    correlate_origin,
+    depth_window,
+    fill,
+    grid_bins,
+    inner,
+)
 
 MAX_SHIFT_BINS = 3.0
 """Groups are tested from this reach ``d`` on; wider ones are split first."""
@@ -80,7 +87,7 @@ class TestScratch(NamedTuple):
     total: NDArray[np.float32]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _widened(extent, bins):
     """Add the margin to a reach in bins, such that twice it is no whole number."""
     reach = extent + MARGIN_BINS + 1e-6 * bins
@@ -92,7 +99,7 @@ def _widened(extent, bins):
     return reach
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _classes(rows, cols, d, e):
     """Lay out the classes of a group with reaches ``d`` and ``e``, in bins."""
     D, E = np.int64(2 * d), np.int64(2 * e)
@@ -104,16 +111,14 @@ def _classes(rows, cols, d, e):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
-def make_test_scratch(sizes):
-    """Allocate what tests need for grids of these sizes."""
-    tallies = half = rows = 1
-    for g in range(len(sizes)):
-        widest = _classes(
-            np.int64(sizes[g, 0]), np.int64(sizes[g, 1]), MAX_SHIFT_BINS + 1, MAX_LIFT_BINS + 1
-        )
-        tallies = max(tallies, np.int64(widest.rows) * 2 * widest.half)
-        half, rows = max(half, widest.half), max(rows, np.int64(sizes[g, 0]))
+def make_test_scratch(sizes: NDArray[np.int32]) -> TestScratch:
+    """Allocate one thread's memory for tests with grids of these (rows, cols)."""
+    tallies = half = 0
+    for rows, cols in sizes:
+        widest = _classes.py_func(rows, cols, MAX_SHIFT_BINS + 1, MAX_LIFT_BINS + 1)
+        tallies = max(tallies, 2 * int(widest.rows) * int(widest.half))
+        half = max(half, int(widest.half))
+    rows = int(sizes[:, 0].max())
     return TestScratch(
         np.empty(BUFFER, np.uint32),
         np.empty((COPIES, tallies + LANES), np.uint32),
@@ -125,7 +130,7 @@ def make_test_scratch(sizes):
     )
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _number_classes(x, y, z, mx, my, mz, reach_sq, scale, bottom, classes, numbers):
     """Class number of each point, past the last class for those out of reach (vectorised)."""
     d, e, base, half = classes.d, classes.e, classes.base, classes.half
@@ -144,12 +149,13 @@ def _number_classes(x, y, z, mx, my, mz, reach_sq, scale, bottom, classes, numbe
         numbers[i] = np.uint32(number if inside else outside + np.int32(i & (LANES - 1)))
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _count_classes(near, begin, end, mx, my, mz, reach_sq, bins, classes, scratch):
     """Count the classes of ``near[begin:end]`` into ``scratch.tallies[0]``; return their sum."""
     size = np.int64(classes.rows) * 2 * classes.half
     bottom = np.float32(bins.height * bins.scale + classes.shift_row + MARGIN_BINS)
-    scratch.tallies[:, : size + LANES] = 0
+    for copy in range(COPIES):
+        fill(scratch.tallies[copy, : size + LANES], 0)
     t0, t1 = scratch.tallies[0], scratch.tallies[1]
     for at in range(begin, end, BUFFER):
         n = min(end - at, BUFFER)
@@ -171,12 +177,13 @@ def _count_classes(near, begin, end, mx, my, mz, reach_sq, bins, classes, scratc
     return total
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _mean_image(classes, rows, cols, scratch):
     """Spread the classes evenly over their bins: about the mean of the group's images."""
     half, shift = np.int64(classes.half), np.int64(classes.shift_col)
     middle, line = scratch.middle, scratch.line
-    middle[:rows, :cols] = np.float32(0)
+    for r in range(rows):
+        fill(middle[r, :cols], np.float32(0))
     share = np.float32(0.5)
     for row in range(classes.rows):
         pair = row + classes.base
@@ -198,7 +205,7 @@ def _mean_image(classes, rows, cols, scratch):
                 middle[bin_row + 1, c] += part * line[c]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _bin_values(bins, weights, values, least, shift, scratch):
     """Fill ``f``, shifted by ``shift`` columns; return its sum over the mean image and its size."""
     rows, cols = np.int64(bins.rows), np.int64(bins.cols)
@@ -213,9 +220,9 @@ def _bin_values(bins, weights, values, least, shift, scratch):
     deviation = np.sqrt(max(square - mean * mean, 0.0))
     factor = least / deviation if deviation > 1e-4 * np.sqrt(square) else 0.0
     largest = np.float32(0)
-    scratch.value[:rows] = np.float32(0)
-    scratch.value[:rows, :shift] = _NEVER
     for r in range(rows):
+        fill(scratch.value[r, :shift], _NEVER)
+        fill(scratch.value[r, shift:], np.float32(0))
         line = scratch.value[r, shift:]
         for c in range(cols):
             i = r * cols + c
@@ -235,7 +242,7 @@ def _bin_values(bins, weights, values, least, shift, scratch):
     return product - least * deviation, np.float64(largest)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _upper_bound(classes, rows, scratch):
     """Sum over all points of the largest ``f`` that each may get."""
     half = np.int64(classes.half)
@@ -247,7 +254,7 @@ def _upper_bound(classes, rows, scratch):
         back = (span - odd) // 2
         for r in range(rows):
             line = largest[odd, r, :half]
-            line[:] = _NEVER
+            fill(line, _NEVER)
             for step in range(span + 1):
                 skip = max(0, back - step)
                 value = scratch.value[r, max(0, step - back) :]
@@ -255,7 +262,7 @@ def _upper_bound(classes, rows, scratch):
                 for i in range(len(ahead)):
                     ahead[i] = max(ahead[i], value[i])
     total, line = scratch.total[:half], scratch.line[:half]
-    total[:] = np.float32(0)
+    fill(total, np.float32(0))
     for row in range(classes.rows):
         pair = np.int64(row + classes.base)
         span = E + ((pair - E) & 1)
@@ -264,7 +271,7 @@ def _upper_bound(classes, rows, scratch):
         for odd in range(2):
             at = (np.int64(row) * 2 + odd) * half
             tally = scratch.tallies[0, at : at + half]
-            line[:] = np.float32(0) if beyond else _NEVER
+            fill(line, np.float32(0) if beyond else _NEVER)
             for r in range(max(first, 0), min(first + span, rows - 1) + 1):
                 best = largest[odd, r, :half]
                 for i in range(half):
@@ -277,7 +284,7 @@ def _upper_bound(classes, rows, scratch):
     return bound
 
 
-@njit(cache=True, nogil=True)
+@inner
 def search_group(near, origins, members, templates, scratch, tests, found, work):
     """Find the hits among the origins ``members`` (reordered); others stay as they are.
 
@@ -293,13 +300,14 @@ def search_group(near, origins, members, templates, scratch, tests, found, work)
     box = np.empty(6, np.float32)
     ranges[0, 0], ranges[0, 1] = 0, len(members)
     limits[0] = np.inf
-    alive[0] = True
+    fill(alive[0], True)
     depth = 1
     while depth > 0:
         depth -= 1
-        begin, end = ranges[depth]
+        begin, end = ranges[depth, 0], ranges[depth, 1]
         limit = limits[depth]
-        wanted[:] = alive[depth]
+        for t in range(T):
+            wanted[t] = alive[depth, t]
         for axis in range(3):
             low = high = origins[members[begin], axis]
             for i in range(begin + 1, end):
@@ -309,7 +317,7 @@ def search_group(near, origins, members, templates, scratch, tests, found, work)
         split = end - begin >= MIN_GROUP
         if split:
             ratio = _test(near, box, end - begin, limit, templates, wanted, tests, work)
-            if not wanted.any():
+            if not _any(wanted):
                 continue
             # What a smaller group would need to be provable has too few origins to pay.
             split = (end - begin) * ratio * ratio >= MIN_GROUP
@@ -318,7 +326,7 @@ def search_group(near, origins, members, templates, scratch, tests, found, work)
         if not split:
             for i in range(begin, end):
                 o = members[i]
-                x, y, z = origins[o]
+                x, y, z = origins[o, 0], origins[o, 1], origins[o, 2]
                 work[0] += correlate_origin(near, x, y, z, templates, wanted, scratch, result)
                 work[2] += 1
                 for t in range(T):
@@ -330,18 +338,37 @@ def search_group(near, origins, members, templates, scratch, tests, found, work)
             ranges[depth, 0] = begin if part == 0 else middle
             ranges[depth, 1] = middle if part == 0 else end
             limits[depth] = limit
-            alive[depth] = wanted
+            for t in range(T):
+                alive[depth, t] = wanted[t]
             depth += 1
 
 
-@njit(cache=True, nogil=True)
+@inner
+def _any(flags):
+    """Tell whether any flag is set."""
+    for flag in flags:  # noqa: SIM110 (numba knows no generators here)
+        if flag:
+            return True
+    return False
+
+
+@inner
+def _wants_grid(grid_of, wanted, g):
+    """Tell whether a wanted template has grid ``g``."""
+    for t in range(len(wanted)):  # noqa: SIM110
+        if wanted[t] and grid_of[t] == g:
+            return True
+    return False
+
+
+@inner
 def _extent(box):
     """Size of a group as far as tests are concerned."""
     width = np.hypot(np.float64(box[1] - box[0]), np.float64(box[3] - box[2]))
     return width + LIFT_WEIGHT * np.float64(box[5] - box[4])
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _split(origins, members, begin, end, box):
     """Reorder ``members[begin:end]`` into two halves of its longest side; return the border."""
     width, depth = box[1] - box[0], box[3] - box[2]
@@ -358,7 +385,7 @@ def _split(origins, members, begin, end, box):
     return i if begin < i < end else (begin + end) // 2
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _test(near, box, count, limit, templates, wanted, tests, work):
     """Clear ``wanted`` for the templates that no origin in ``box`` can hit.
 
@@ -374,10 +401,7 @@ def _test(near, box, count, limit, templates, wanted, tests, work):
     shift = np.sqrt(dx * dx + dy * dy)
     ratio = 2.0
     for g in range(len(templates.sizes)):
-        any_wanted = False
-        for t in range(len(wanted)):
-            any_wanted |= wanted[t] and templates.grid_of[t] == g
-        if not any_wanted:
+        if not _wants_grid(templates.grid_of, wanted, g):
             continue
         bins = grid_bins(templates, g)
         rows, cols = np.int64(bins.rows), np.int64(bins.cols)

@@ -1,7 +1,14 @@
-"""Compiled loops over blocks of neighbouring origins, see ``spin_kernel``."""
+"""Compiled loops over blocks of neighbouring origins, see ``spin_kernel``.
+
+Only these outermost kernels are cached on disk. Numba's cache looks at this file alone, so the
+sources of all kernels are part of its key: a change to any of them compiles anew.
+"""
 # pyright: basic
 
 from __future__ import annotations
+
+import hashlib
+from pathlib import Path
 
 import numpy as np
 from numba import njit
@@ -12,50 +19,63 @@ from spinpipe.stages.spin_count import (
     count_origin,
     gather,
     grid_bins,
-    make_scratch,
 )
-from spinpipe.stages.spin_pruning import make_test_scratch, search_group
+from spinpipe.stages.spin_pruning import search_group
 
 
-@njit(cache=True, nogil=True)
-def count_blocks(index, origins, order, start, templates, images):
-    """Spin images for the table's first grid into ``images`` (M, k)."""
-    scratch = make_scratch(templates.sizes)
-    bins = grid_bins(templates, 0)
-    for block in range(len(start) - 1):
-        members = order[start[block] : start[block + 1]]
-        box = bounding_box(origins, members)
-        near = gather(index, box, bins.radius_sq, bins.height, len(members))
-        for o in members:
-            x, y, z = origins[o]
-            count_origin(near, x, y, z, bins, scratch)
-            images[o] = scratch.image
+def _sources() -> str:
+    """Digest of the kernels' sources."""
+    names = ("spin_count.py", "spin_pruning.py", "spin_scan.py")
+    texts = [Path(__file__).with_name(name).read_bytes() for name in names]
+    return hashlib.sha256(b"".join(texts)).hexdigest()
 
 
-@njit(cache=True, nogil=True)
-def scan_blocks(index, origins, order, start, templates, pruned, found):
-    """Correlations with all templates into ``found`` (T, M); if ``pruned``, of hits only.
+def _kernels(sources: str):
+    """Define the outermost kernels; numba keys its cache by the values they enclose."""
 
-    Returns visits, tests and origins scanned.
-    """
-    scratch, tests = make_scratch(templates.sizes), make_test_scratch(templates.sizes)
-    radius_sq = height = np.float32(0)
-    for g in range(len(templates.sizes)):
-        radius_sq = max(radius_sq, templates.numbers[g, 0])
-        height = max(height, templates.numbers[g, 1])
-    wanted = np.ones(len(templates.grid_of), np.bool_)
-    result = np.empty(len(wanted), np.float32)
-    work = np.zeros(3, np.int64)
-    for block in range(len(start) - 1):
-        members = order[start[block] : start[block + 1]]
-        box = bounding_box(origins, members)
-        near = gather(index, box, radius_sq, height, len(members))
-        if pruned:
-            search_group(near, origins, members.copy(), templates, scratch, tests, found, work)
-            continue
-        for o in members:
-            x, y, z = origins[o]
-            work[0] += correlate_origin(near, x, y, z, templates, wanted, scratch, result)
-            work[2] += 1
-            found[:, o] = result
-    return work
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def count_blocks(index, origins, order, start, templates, scratch, images):
+        """Spin images for the table's first grid into ``images`` (M, k)."""
+        _ = sources
+        bins = grid_bins(templates, 0)
+        for block in range(len(start) - 1):
+            members = order[start[block] : start[block + 1]]
+            box = bounding_box(origins, members)
+            near = gather(index, box, bins.radius_sq, bins.height, len(members))
+            for o in members:
+                x, y, z = origins[o, 0], origins[o, 1], origins[o, 2]
+                count_origin(near, x, y, z, bins, scratch)
+                for i in range(len(scratch.image)):
+                    images[o, i] = scratch.image[i]
+
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def scan_blocks(index, origins, order, start, templates, pruned, scratch, tests, found, work):
+        """Correlations with all templates into ``found`` (T, M); if ``pruned``, of hits only.
+
+        ``work`` (3,) counts visits, tests and origins scanned.
+        """
+        _ = sources
+        radius_sq = height = np.float32(0)
+        for g in range(len(templates.sizes)):
+            radius_sq = max(radius_sq, templates.numbers[g, 0])
+            height = max(height, templates.numbers[g, 1])
+        wanted = np.ones(len(templates.grid_of), np.bool_)
+        result = np.empty(len(wanted), np.float32)
+        for block in range(len(start) - 1):
+            members = order[start[block] : start[block + 1]].copy()
+            box = bounding_box(origins, members)
+            near = gather(index, box, radius_sq, height, len(members))
+            if pruned:
+                search_group(near, origins, members, templates, scratch, tests, found, work)
+                continue
+            for o in members:
+                x, y, z = origins[o, 0], origins[o, 1], origins[o, 2]
+                work[0] += correlate_origin(near, x, y, z, templates, wanted, scratch, result)
+                work[2] += 1
+                for t in range(len(result)):
+                    found[t, o] = result[t]
+
+    return count_blocks, scan_blocks
+
+
+count_blocks, scan_blocks = _kernels(_sources())
