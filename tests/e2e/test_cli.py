@@ -1,0 +1,432 @@
+"""Whole runs from the command line: what a user types, reads and finds in the folder."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from spinpipe.pipeline.demo import write_example
+from spinpipe.stages import STAGES
+
+if TYPE_CHECKING:
+    from tests.conftest import Cli, Outcome, Yard, YardRun
+
+NAMES = [stage.name for stage in STAGES]
+FILES = [f"{i:02d}_{name}.mcap" for i, name in enumerate(NAMES, 1)]
+RERUN = Path(sys.executable).with_name("rerun")
+
+
+@pytest.fixture(scope="module")
+def demo(cli: Cli, tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Path]:
+    """The example that ships, with its recording."""
+    folder = tmp_path_factory.mktemp("demo")
+    return cli("demo", cwd=folder), folder / "recordings" / "demo"
+
+
+def found(output: Path) -> list[dict[str, Any]]:
+    detections = json.loads((output / "detections.json").read_text())["detections"]
+    return [d for d in detections if d["fate"] == "accepted"]
+
+
+def digests(folder: Path, names: list[str]) -> dict[str, str]:
+    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in names}
+
+
+# The example that ships
+
+
+def test_demo_finds_the_four_cars_of_model_1_and_no_others(demo: tuple[Outcome, Path]) -> None:
+    outcome, output = demo
+    assert outcome.code == 0, outcome.err
+    assert "accepted: 4 model_1" in outcome.out
+    with (output / "truth.csv").open() as stream:
+        truth = [row for row in csv.DictReader(stream) if row["model"] == "model_1"]
+    assert len(truth) == len(found(output)) == 4
+    places = np.array([d["position_scene"] for d in found(output)])
+    for row in truth:
+        place = np.array([float(row[axis]) for axis in "xyz"])
+        nearest = int(np.argmin(np.linalg.norm(places - place, axis=1)))
+        assert np.linalg.norm(places[nearest] - place) < 0.1
+        turned = found(output)[nearest]["heading_deg"] - float(row["heading_deg"])
+        assert abs((turned + 180) % 360 - 180) < 10
+
+
+def test_demo_leaves_the_files_of_a_run_and_nothing_else(demo: tuple[Outcome, Path]) -> None:
+    _, output = demo
+    example = {"scene.ply", "model_1.ply", "model_2.ply", "truth.csv", "config.toml"}
+    results = {"detections.json", "detections.csv", "detections.ply", "report.json"}
+    others = {"run.rrd", "config.resolved.toml", ".lock"}
+    assert {path.name for path in output.iterdir()} == {*FILES, *example, *results, *others}
+
+
+def test_the_example_is_the_same_bytes_every_time(
+    demo: tuple[Outcome, Path], tmp_path: Path
+) -> None:
+    names = ["scene.ply", "model_1.ply", "model_2.ply", "truth.csv"]
+    write_example(tmp_path)
+    assert digests(tmp_path, names) == digests(demo[1], names)
+
+
+def test_a_second_demo_reuses_everything_but_from_forces_it(
+    cli: Cli, demo: tuple[Outcome, Path]
+) -> None:
+    _, output = demo
+    before = digests(output, [*FILES, "detections.json", "run.rrd"])
+    again = cli("demo", "-o", output)
+    assert re.findall(r"^(\w+)", again.out, re.MULTILINE)[:5] == ["reuse"] * 5
+    assert digests(output, list(before)) == before
+
+
+@pytest.mark.skipif(not RERUN.exists(), reason="the viewer's command is not installed")
+def test_other_programs_accept_the_files(demo: tuple[Outcome, Path]) -> None:
+    _, output = demo
+    for name in FILES:
+        subprocess.run([RERUN, "mcap", "check", output / name], check=True, capture_output=True)
+    subprocess.run([RERUN, "rrd", "verify", output / "run.rrd"], check=True, capture_output=True)
+
+
+def test_record_draws_the_same_recording_without_computing(
+    cli: Cli, demo: tuple[Outcome, Path]
+) -> None:
+    _, output = demo
+    size = (output / "run.rrd").stat().st_size
+    (output / "run.rrd").unlink()
+    before = digests(output, FILES)
+    outcome = cli("record", output)
+    assert outcome.code == 0, outcome.err
+    assert (output / "run.rrd").stat().st_size == pytest.approx(size, rel=0.05)
+    assert digests(output, FILES) == before
+
+
+def test_the_report_says_what_ran_and_with_what(demo: tuple[Outcome, Path]) -> None:
+    report = json.loads((demo[1] / "report.json").read_text())
+    assert [stage["stage"] for stage in report["stages"]] == NAMES
+    assert {"numpy", "mcap", "spinpipe"} <= set(report["libraries"])
+
+
+# A user's own config
+
+
+def test_init_writes_a_config_that_runs(cli: Cli, tmp_path: Path) -> None:
+    outcome = cli("init", "lot/config.toml", cwd=tmp_path)
+    assert outcome.code == 0, outcome.err
+    assert "spinpipe run lot/config.toml" in outcome.out
+    ran = cli("run", "lot/config.toml", "--until", "ingest", "--rerun", "off", cwd=tmp_path)
+    assert ran.code == 0, ran.err
+    assert (tmp_path / "recordings" / "config" / "01_ingest.mcap").exists()
+
+
+def test_init_for_ones_own_scene_runs_to_the_end(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    yard.write(tmp_path)
+    (tmp_path / "config.toml").unlink()
+    outcome = cli("init", "--scene", "scene.ply", "--model", "saloon.ply", cwd=tmp_path)
+    assert outcome.code == 0, outcome.err
+    ran = cli("run", "config.toml", "--rerun", "off", cwd=tmp_path)
+    assert ran.code == 0, ran.err
+    assert len(found(tmp_path / "recordings" / "config")) == len(yard.cars)
+
+
+def test_init_overwrites_nothing(cli: Cli, tmp_path: Path) -> None:
+    (tmp_path / "config.toml").write_text("mine")
+    outcome = cli("init", cwd=tmp_path)
+    assert_one_line(outcome, 2, "exists already")
+    assert (tmp_path / "config.toml").read_text() == "mine"
+    assert_one_line(cli("init", "new.toml", "--scene", "a.ply", cwd=tmp_path), 2, "--model")
+    assert {path.name for path in tmp_path.iterdir()} == {"config.toml"}
+
+
+def test_plan_says_what_would_run_and_does_nothing(cli: Cli, yard_run: YardRun) -> None:
+    before = sorted(yard_run.output.iterdir())
+    outcome = cli("plan", yard_run.config, "-o", yard_run.output, "--set", "verify.samples=300")
+    lines = dict(line.split(maxsplit=1) for line in outcome.out.splitlines()[1:6])
+    assert [text.split()[0] for text in lines.values()] == ["reuse"] * 4 + ["run"]
+    assert "verify.samples changed" in lines["verify"]
+    assert sorted(yard_run.output.iterdir()) == before
+
+
+def test_plan_of_a_new_run_makes_no_folder(cli: Cli, yard_run: YardRun, tmp_path: Path) -> None:
+    outcome = cli("plan", yard_run.config, "-o", tmp_path / "new")
+    assert outcome.code == 0
+    assert not (tmp_path / "new").exists()
+
+
+def test_stages_explains_every_stage_and_key(cli: Cli) -> None:
+    outcome = cli("stages")
+    assert outcome.code == 0
+    for stage in STAGES:
+        assert f"\n{stage.name}: " in outcome.out
+        for key in stage.Config.model_fields:
+            if key != "models":
+                assert re.search(rf"^  {key} ", outcome.out, re.MULTILINE), key
+
+
+def test_overrides_may_name_paths_relative_to_the_current_folder(
+    cli: Cli, yard: Yard, yard_run: YardRun, tmp_path: Path
+) -> None:
+    here = tmp_path / "here"
+    yard.write(here, yard.xyz + [5.0, 0.0, 0.0])
+    outcome = cli(
+        *("run", yard_run.config, "--rerun", "off", "-o", "out"),
+        *("--set", "ingest.scene=scene.ply", "--set", "run.name=moved", "--set", "run.seed=3"),
+        cwd=here,
+    )
+    assert outcome.code == 0, outcome.err
+    places = [d["position_scene"][0] - 5.0 for d in found(here / "out")]
+    np.testing.assert_allclose(sorted(places), sorted(car[0] for car in yard.cars), atol=0.1)
+    resolved = tomllib.loads((here / "out" / "config.resolved.toml").read_text())
+    assert resolved["ingest"]["scene"] == str(here / "scene.ply")
+    assert resolved["run"] == {"name": "moved", "seed": 3}
+
+
+def test_the_resolved_config_repeats_the_run(cli: Cli, yard_run: YardRun) -> None:
+    resolved = yard_run.output / "config.resolved.toml"
+    outcome = cli("plan", resolved, "-o", yard_run.output)
+    assert outcome.out.count("reuse") == len(NAMES)
+
+
+def test_a_scene_without_any_hit_is_a_result(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    ground = yard.xyz[yard.xyz[:, 2] < 0.05]
+    config = yard.write(tmp_path, ground, "\n[ground]\nup = [0, 0, 1]\n")
+    outcome = cli("run", config, cwd=tmp_path)
+    assert outcome.code == 0, outcome.err
+    assert outcome.err == ""
+    assert "no detections" in outcome.out
+    output = tmp_path / "recordings" / "config"
+    assert found(output) == []
+    assert len((output / "detections.csv").read_text().splitlines()) == 1
+    assert (output / "run.rrd").exists()
+
+
+# Bad input: one line, a code, nothing half-written
+
+
+def assert_one_line(outcome: Outcome, code: int, *said: str) -> None:
+    assert outcome.code == code, outcome
+    assert outcome.err.count("\n") == 1, outcome.err
+    assert outcome.err.startswith("spinpipe: ")
+    assert "Traceback" not in outcome.err
+    assert "internal error" not in outcome.err
+    for text in said:
+        assert text in outcome.err
+
+
+def assert_nothing_half_written(folder: Path) -> None:
+    for path in folder.rglob("*"):
+        assert path.suffix not in (".partial", ".interrupted", ".mcap"), path
+        assert not path.name.startswith(("detections", ".scratch")), path
+
+
+def fail(cli: Cli, folder: Path, code: int, *said: str) -> None:
+    """Run the folder's config; it must fail as a user may expect."""
+    outcome = cli("run", "config.toml", "--rerun", "save", cwd=folder)
+    assert_one_line(outcome, code, *said)
+    assert_nothing_half_written(folder)
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def test_a_missing_scene(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    yard.write(tmp_path)
+    (tmp_path / "scene.ply").unlink()
+    fail(cli, tmp_path, 1, "scene.ply", "ingest.scene")
+    assert not (tmp_path / "recordings").exists()
+
+
+def test_a_missing_model(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    yard.write(tmp_path)
+    (tmp_path / "saloon.ply").unlink()
+    fail(cli, tmp_path, 1, "saloon.ply")
+
+
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.9999])
+def test_a_scene_cut_short(cli: Cli, yard: Yard, tmp_path: Path, share: float) -> None:
+    yard.write(tmp_path)
+    path = tmp_path / "scene.ply"
+    os.truncate(path, int(share * path.stat().st_size))
+    fail(cli, tmp_path, 1, "scene.ply")
+
+
+def test_a_text_scene_cut_short(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    yard.write(tmp_path)
+    header = "ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\n"
+    (tmp_path / "scene.ply").write_text(header + "property float z\nend_header\n1 2 3\n4 5\n")
+    fail(cli, tmp_path, 1, "scene.ply")
+
+
+def test_an_empty_file(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    yard.write(tmp_path)
+    (tmp_path / "scene.ply").write_bytes(b"")
+    fail(cli, tmp_path, 1, "scene.ply")
+
+
+def test_an_empty_cloud(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    yard.write(tmp_path, np.empty((0, 3)))
+    fail(cli, tmp_path, 1, "scene.ply", "empty")
+
+
+def test_a_cloud_of_nan(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    yard.write(tmp_path, np.full((100, 3), np.nan))
+    fail(cli, tmp_path, 1, "scene.ply", "finite")
+
+
+def test_some_nan_are_left_out_and_said(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    xyz = np.concatenate([yard.xyz, np.full((7, 3), np.nan)])
+    config = yard.write(tmp_path, xyz)
+    outcome = cli("run", config, "--until", "ingest", "--rerun", "off", cwd=tmp_path)
+    assert outcome.code == 0
+    assert "left out 7 points" in outcome.out
+
+
+def test_a_model_of_nan(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    yard.write(tmp_path)
+    yard.write(tmp_path / "other", np.full((100, 3), np.nan))
+    (tmp_path / "other" / "scene.ply").rename(tmp_path / "saloon.ply")
+    fail(cli, tmp_path, 1, "saloon", "finite")
+
+
+def test_a_colmap_folder_without_points(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    import pycolmap
+
+    yard.write(tmp_path)
+    edit(tmp_path / "config.toml", "scene.ply", "sparse")
+    (tmp_path / "sparse").mkdir()
+    fail(cli, tmp_path, 1, "sparse")
+    pycolmap.Reconstruction().write(tmp_path / "sparse")
+    fail(cli, tmp_path, 1, "sparse")
+
+
+def test_a_scene_of_an_unknown_kind(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    yard.write(tmp_path)
+    (tmp_path / "scene.ply").rename(tmp_path / "scene.xyz")
+    edit(tmp_path / "config.toml", "scene.ply", "scene.xyz")
+    fail(cli, tmp_path, 1, "scene.xyz", ".ply")
+
+
+def test_an_unknown_key(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    yard.write(tmp_path)
+    edit(tmp_path / "config.toml", "radius_m", "raduis_m")
+    fail(cli, tmp_path, 2, "config.toml: [scan] has no key 'raduis_m'", "'radius_m'?")
+
+
+def test_a_negative_radius(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    yard.write(tmp_path)
+    edit(tmp_path / "config.toml", "radius_m = 2.5", "radius_m = -2.5")
+    fail(cli, tmp_path, 2, "config.toml: [scan] radius_m = -2.5")
+
+
+def test_a_model_larger_than_the_scene(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    yard.write(tmp_path, yard.xyz / 1000)
+    fail(cli, tmp_path, 1, "model 'saloon'", "ingest.scale")
+
+
+def test_broken_toml(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    yard.write(tmp_path, extra="\n[scan\n")
+    fail(cli, tmp_path, 2, "config.toml: not valid TOML", "line")
+
+
+def test_a_missing_config(cli: Cli, tmp_path: Path) -> None:
+    fail(cli, tmp_path, 2, "config.toml", "spinpipe init")
+
+
+def test_an_undecided_up(cli: Cli, tmp_path: Path, yard: Yard) -> None:
+    rng = np.random.default_rng(0)
+    yard.write(tmp_path, rng.uniform(-10, 10, (20_000, 3)) * [1, 1, 1e-6])
+    fail_after_ingest = cli("run", "config.toml", "--rerun", "off", cwd=tmp_path)
+    assert_one_line(fail_after_ingest, 1, "ground.up")
+    assert len(re.findall(r"\[-?\d[^\]]*\]", fail_after_ingest.err)) >= 2, "names both candidates"
+
+
+def test_an_output_that_is_a_file(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    config = yard.write(tmp_path)
+    (tmp_path / "out").write_text("mine")
+    outcome = cli("run", config, "-o", tmp_path / "out", cwd=tmp_path)
+    assert_one_line(outcome, 1, str(tmp_path / "out"))
+    outcome = cli("run", config, "-o", tmp_path / "out" / "below", cwd=tmp_path)
+    assert_one_line(outcome, 1, str(tmp_path / "out"))
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_an_output_that_may_not_be_written(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    config = yard.write(tmp_path)
+    (tmp_path / "out").mkdir(mode=0o500)
+    outcome = cli("run", config, "-o", tmp_path / "out" / "run", cwd=tmp_path)
+    assert_one_line(outcome, 1, "Permission denied")
+
+
+def test_record_without_a_run(cli: Cli, tmp_path: Path) -> None:
+    assert_one_line(cli("record", tmp_path), 2, "no run here")
+    assert_one_line(cli("record", tmp_path / "nothing"), 2, "no run here")
+
+
+@pytest.mark.parametrize("option", ["--from", "--until"])
+def test_an_unknown_stage(cli: Cli, yard: Yard, tmp_path: Path, option: str) -> None:
+    config = yard.write(tmp_path)
+    outcome = cli("run", config, option, "scna", cwd=tmp_path)
+    assert_one_line(outcome, 2, option, "scna", ", ".join(NAMES))
+    assert not (tmp_path / "recordings").exists()
+
+
+# The terminal
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--help"],
+        *([command, "--help"] for command in ("run", "plan", "init", "demo", "record", "stages")),
+        ["stages"],
+    ],
+    ids=" ".join,
+)
+def test_text_fits_eighty_columns(
+    cli: Cli, monkeypatch: pytest.MonkeyPatch, arguments: list[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    outcome = cli(*arguments)
+    assert outcome.code == 0
+    assert max(len(line.rstrip()) for line in outcome.out.splitlines()) <= 80
+
+
+def test_the_table_fits_eighty_columns(demo: tuple[Outcome, Path]) -> None:
+    lines = [line for line in demo[0].out.splitlines() if "results in" not in line]
+    assert max(len(line.rstrip()) for line in lines) <= 80
+
+
+def cpu_seconds(arguments: list[str | Path], cwd: Path) -> float:
+    """Processor time of the command in a process of its own: waiting for others is no matter."""
+    command = [sys.executable, "-c", "from spinpipe.pipeline.cli import main; main()", *arguments]
+    process = subprocess.Popen(command, cwd=cwd, stdout=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    assert os.waitstatus_to_exitcode(status) == 0
+    return usage.ru_utime + usage.ru_stime
+
+
+def test_help_answers_at_once(tmp_path: Path) -> None:
+    assert min(cpu_seconds(["--help"], tmp_path) for _ in range(3)) < 0.5
+
+
+def test_a_run_that_reuses_everything_is_quick(demo: tuple[Outcome, Path]) -> None:
+    output = demo[1]
+    arguments: list[str | Path] = ["run", output / "config.toml", "-o", output]
+    cpu_seconds(arguments, output)
+    assert cpu_seconds(arguments, output) < 3.0
+
+
+def test_the_version_is_told(cli: Cli) -> None:
+    assert re.fullmatch(r"spinpipe \d+\.\d+\.\d+\S*\n", cli("--version").out)

@@ -1,0 +1,97 @@
+"""The wheel: complete, and enough to run the command in an empty environment."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import zipfile
+from email.parser import Parser
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+UV = shutil.which("uv")
+
+pytestmark = [
+    pytest.mark.packaging,
+    pytest.mark.skipif(UV is None, reason="uv builds and installs the wheel"),
+]
+
+
+def uv(*arguments: str | Path, cwd: Path | None = None) -> str:
+    """Run uv; its output is the error message if it fails."""
+    command = ["uv", *map(str, arguments)]
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A wheel built from the files that git knows, not from left-overs of this checkout."""
+    source, target = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("dist")
+    listed = subprocess.run(
+        ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    for name in listed.stdout.splitlines():
+        path = ROOT / name
+        if path.is_file() and not path.is_symlink():
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(path, source / name)
+    uv("build", "--wheel", "--out-dir", target, source)
+    return next(target.glob("*.whl"))
+
+
+@pytest.fixture(scope="module")
+def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An empty environment with the wheel and what it asks for."""
+    folder = tmp_path_factory.mktemp("environment")
+    uv("venv", "--no-project", folder)
+    uv("pip", "install", "--python", folder / "bin" / "python", wheel)
+    return folder
+
+
+def test_every_module_is_in_the_wheel_and_nothing_else(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    for folder in ("schemas", "stages", "pipeline"):
+        here = {path.name for path in (ROOT / folder).glob("*.py*")}
+        there = {Path(name).name for name in names if name.startswith(f"spinpipe/{folder}/")}
+        assert here <= there | {"__pycache__"}
+        assert "py.typed" in there
+        assert not list((ROOT / folder).glob("*/*.py")), "sub-packages are not listed"
+    assert "spinpipe/schemas/spinpipe.proto" in names
+    assert all(name.startswith(("spinpipe/", "spinpipe-")) for name in names)
+
+
+def test_licence_and_metadata_are_there(wheel: Path) -> None:
+    archive = zipfile.ZipFile(wheel)
+    info = next(name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+    metadata = Parser().parsestr(archive.read(info).decode())
+    assert metadata["Name"] == "spinpipe"
+    assert metadata["License-Expression"] == "MIT"
+    licence = next(n for n in archive.namelist() if n.endswith("/licenses/LICENSE"))
+    assert b"MIT License" in archive.read(licence)
+    assert "spinpipe" in str(metadata.get_payload()), "the README is the description"
+
+
+def test_the_command_runs_from_an_empty_environment(environment: Path, tmp_path: Path) -> None:
+    def run(command: str, *arguments: str) -> str:
+        done = subprocess.run(
+            [environment / "bin" / command, *arguments],
+            cwd=tmp_path,
+            env={k: v for k, v in os.environ.items() if not k.startswith("PYTHON")},
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    where = run("python", "-c", "import spinpipe.stages as s; print(s.__file__)").strip()
+    assert Path(where).is_relative_to(environment)
+    assert "accepted: 4 model_1" in run("spinpipe", "demo", "--rerun", "off")
