@@ -184,6 +184,24 @@ def plant(
     plant_command(path, count, seed, picture, rerun.value)
 
 
+@app.command()
+def paper(
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Where the report goes.")
+    ] = Path("paper"),
+    scene: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="A real scene of cars for section 3.4 (artificial)."),
+    ] = None,
+    model: Annotated[Path | None, typer.Option(metavar="FILE", help="A car's mesh for it.")] = None,
+    truth: Annotated[Path | None, typer.Option(metavar="CSV", help="Its labels.")] = None,
+) -> None:
+    """Repeat the experiments of the paper and print its numbers beside ours."""
+    from spinpipe.pipeline.paper import paper_command
+
+    paper_command(output, scene, model, truth)
+
+
 model_app = typer.Typer(no_args_is_help=True, help="Make models of objects.")
 app.add_typer(model_app, name="model")
 
