@@ -10,7 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from spinpipe.pipeline import palette
-from spinpipe.pipeline.draw_model import model_bounds, model_path
+from spinpipe.pipeline.draw_model import model_bounds, model_path, places_in_row
 from spinpipe.pipeline.drawing import CANDIDATE, NOTES, WORLD, Reader
 from spinpipe.schemas import MODELS, TILES, UPRIGHT
 from spinpipe.schemas.records import F64, ObjectModel, TileIndex
@@ -36,7 +36,7 @@ def build_blueprint(read: Reader, preview_points: int, timeline: str = "stage") 
     """
     tiles, models, upright = read(TILES)[0], read(MODELS), read(UPRIGHT)
     corners = _corners(tiles, upright[0].T_world_local if len(upright) else np.eye(4))
-    scene_eye, object_eye = _scene_eye(corners), _object_eye(models)
+    scene_eye, object_eye = _scene_eye(corners), _object_eye(models, np.zeros(1))
     # distance between neighbours, if the points lay on a flat square
     shown = max(min(int(tiles.counts.sum()), preview_points), 1)
     spacing = float(np.sqrt(np.ptp(corners, axis=0)[:2].prod() / shown))
@@ -98,7 +98,7 @@ def build_blueprint(read: Reader, preview_points: int, timeline: str = "stage") 
                         origin="/ingest/models",
                         name="Models",
                         background=palette.BACKGROUND,
-                        eye_controls=object_eye,
+                        eye_controls=_object_eye(models, places_in_row(models)),
                     ),
                 ),
                 row_shares=[5, 3, 4],
@@ -197,13 +197,13 @@ def _scene_eye(corners: F64) -> rrb.EyeControls3D:
     return rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0.0, 0.0, 1.0))
 
 
-def _object_eye(models: Sequence[ObjectModel]) -> rrb.EyeControls3D:
-    """Look at the object frame's origin from ahead, aside and above."""
-    sizes = [np.diff(model_bounds(model), axis=0)[0] for model in models]
-    size = max((float(np.linalg.norm(s)) for s in sizes), default=1.0)
-    height = max((float(s[2]) for s in sizes), default=0.0)
+def _object_eye(models: Sequence[ObjectModel], places: F64) -> rrb.EyeControls3D:
+    """Look at models that stand at ``places`` along y from ahead, aside and above."""
+    sizes = np.array([np.ptp(model_bounds(model), axis=0) for model in models]).reshape(-1, 3)
+    box = sizes.max(axis=0, initial=0) + (0.0, np.ptp(places), 0.0)
+    size = max(float(np.linalg.norm(box)), 1e-3)
     return rrb.EyeControls3D(
         position=(0.7 * size, -0.95 * size, 0.8 * size),
-        look_target=(0.0, 0.0, height / 2),
+        look_target=(0.0, 0.0, box[2] / 2),
         eye_up=(0.0, 0.0, 1.0),
     )

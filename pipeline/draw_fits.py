@@ -30,11 +30,11 @@ class Fit(NamedTuple):
 
 
 def order_fits(detections: Sequence[Detection], traces: Sequence[FitTrace]) -> list[Fit]:
-    """Lay the candidates' steps behind each other, by id; of one candidate the best comes last."""
+    """Lay the steps of the candidates behind each other."""
     trace_of = {trace.cluster: trace for trace in traces}
     fits: list[Fit] = []
     step = 0
-    for detection in sorted(detections, key=lambda d: (d.cluster, d.score)):
+    for detection in detections:
         trace = trace_of.get(detection.cluster)
         poses = detection.T_world_object.reshape(1, 4, 4)
         if trace is not None:

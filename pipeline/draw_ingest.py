@@ -8,7 +8,13 @@ import numpy as np
 import rerun as rr
 
 from spinpipe.pipeline import palette
-from spinpipe.pipeline.draw_model import model_bounds, model_path, model_points, model_shape
+from spinpipe.pipeline.draw_model import (
+    model_bounds,
+    model_path,
+    model_points,
+    model_shape,
+    places_in_row,
+)
 from spinpipe.pipeline.drawing import CANDIDATE, LOCAL, WORLD, Reader, at_stage, note, put
 from spinpipe.pipeline.preview import preview_rows
 from spinpipe.schemas import CAMERAS, CLOUD, MODELS, SCENE, TILES
@@ -47,20 +53,14 @@ def _draw_cloud(
 
 
 def _draw_models(rec: rr.RecordingStream, models: Sequence[ObjectModel]) -> None:
-    """Models in a row along x, the points of the part that the sensor could see on each."""
-    x = 0.0
-    for model in models:
+    """Models side by side along y; on each the points of the part that the sensor could see."""
+    for model, y in zip(models, places_in_row(models), strict=True):
         path, (low, high) = model_path("ingest/models", model.name), model_bounds(model)
-        rec.log(path, rr.Transform3D(translation=[x - low[0], 0, 0]), static=True)
+        rec.log(path, rr.Transform3D(translation=[0, y, 0]), static=True)
         rec.log(f"{path}/shape", model_shape(model, palette.PALE), static=True)
         rec.log(f"{path}/points", model_points(model, palette.MARK), static=True)
-        top = [[(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, 1.15 * high[2]]]
-        rec.log(
-            f"{path}/name",
-            rr.Points3D(top, labels=model.name, colors=palette.WHITE, radii=-1.0),
-            static=True,
-        )
-        x += 1.3 * float(high[0] - low[0])
+        label = rr.Points3D([[low[0], 0, high[2]]], labels=model.name, radii=-1.0)
+        rec.log(f"{path}/name", label, static=True)
 
 
 def _draw_cameras(rec: rr.RecordingStream, cameras: Cameras, tiles: TileIndex) -> None:

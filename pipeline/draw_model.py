@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import rerun as rr
 
@@ -42,6 +44,12 @@ def model_bounds(model: ObjectModel) -> F64:
     """(2, 3) lowest and highest coordinates in the object frame, metres."""
     points = model.points if len(model.points) else model.vertices
     return np.stack([points.min(axis=0), points.max(axis=0)]).astype(np.float64)
+
+
+def places_in_row(models: Sequence[ObjectModel]) -> F64:
+    """(N,) where along y to put each model so that they stand side by side around the origin."""
+    widths = np.array([1.4 * np.ptp(model_bounds(model)[:, 1]) for model in models])
+    return np.cumsum(widths) - widths / 2 - widths.sum() / 2
 
 
 def model_path(root: str, model: str) -> str:

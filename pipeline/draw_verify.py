@@ -15,13 +15,26 @@ from spinpipe.pipeline.drawing import WORLD, Reader, at_candidate, at_stage, not
 from spinpipe.schemas import DETECTIONS, MODELS, TRACES
 from spinpipe.schemas.records import F64, Detection, ObjectModel
 
+_LEDGER = (
+    "fate",
+    "score",
+    "correlation",
+    "rms_m",
+    "coverage_model",
+    "coverage_scene",
+    "heading_deg",
+    "heading_margin",
+    "model",
+    "reason",
+)
+"""Columns of the table of all candidates: fields of a detection."""
 _LABELLED = 12
 _NOTED = 40
 
 
 def draw_verify(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
     """Log all fates at once, then candidate by candidate and iteration by iteration."""
-    detections = list(read(DETECTIONS))
+    detections = sorted(read(DETECTIONS), key=lambda d: (d.cluster, d.score))
     models = {model.name: model for model in read(MODELS)}
     draw_shapes(rec, list(models.values()))
     at_stage(rec, "verify")
@@ -131,23 +144,18 @@ def _draw_numbers(rec: rr.RecordingStream, detections: Sequence[Detection]) -> N
 
 def _draw_ledger(rec: rr.RecordingStream, detections: Sequence[Detection]) -> None:
     """One row a candidate, with the numbers that decided."""
-    ordered = sorted(detections, key=lambda d: (d.cluster, d.score))
+    columns: dict[str, list[str | float]] = {
+        name: [_rounded(getattr(d, name)) for d in detections] for name in _LEDGER
+    }
     rec.send_columns(
         "verify/ledger",
-        indexes=[rr.TimeColumn("candidate", sequence=[d.cluster for d in ordered])],
-        columns=rr.AnyValues.columns(  # pyright: ignore[reportUnknownMemberType]
-            fate=[d.fate for d in ordered],
-            reason=[d.reason for d in ordered],
-            model=[d.model for d in ordered],
-            score=[d.score for d in ordered],
-            correlation=[d.correlation for d in ordered],
-            rms_m=[d.rms_m for d in ordered],
-            coverage_model=[d.coverage_model for d in ordered],
-            coverage_scene=[d.coverage_scene for d in ordered],
-            heading_deg=[d.heading_deg for d in ordered],
-            heading_margin=[d.heading_margin for d in ordered],
-        ),
+        indexes=[rr.TimeColumn("candidate", sequence=[d.cluster for d in detections])],
+        columns=rr.AnyValues.columns(True, **columns),  # pyright: ignore[reportUnknownMemberType]
     )
+
+
+def _rounded(value: str | float) -> str | float:
+    return round(value, 3) if isinstance(value, float) else value
 
 
 def _summary(detections: Sequence[Detection]) -> str:
