@@ -16,7 +16,7 @@ from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.schemas import CLOUD, SCENE, TILES, UPRIGHT
 from spinpipe.schemas.records import F64, U8
 from spinpipe.stages.cutting import around_box, cut_instance
-from spinpipe.stages.frames import transform, world_from_scene
+from spinpipe.stages.frames import inverse, transform, world_from_scene
 from spinpipe.stages.neighbourhood import WorldCloud
 from spinpipe.stages.object_model import ModelConfig
 from spinpipe.stages.stage import StageError
@@ -84,7 +84,7 @@ def cut_model(
     rows = np.empty(0, np.int64)
     if len(xyz):
         rows, pose = cut_instance(xyz, centre, size, heading_world, base_z)
-        xyz = transform(np.asarray(np.linalg.inv(pose), np.float64), xyz[rows])
+        xyz = transform(inverse(pose), xyz[rows])
     if len(rows) < MIN_POINTS:
         where = ",".join(f"{v:g}" for v in at)
         raise StageError(

@@ -16,6 +16,7 @@ from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.schemas import DETECTIONS, MODELS
 from spinpipe.schemas.records import Detection, ObjectModel
 from spinpipe.schemas.topics import Topic
+from spinpipe.stages.frames import inverse
 from spinpipe.stages.write_ply import cloud_rows, write_ply
 
 T = TypeVar("T")
@@ -118,7 +119,7 @@ def _write_ply(path: Path, accepted: Sequence[Detection], models: dict[str, Obje
     for d in accepted:
         model = models[d.model]
         local = model.vertices if len(model.faces) else model.points
-        T_scene_object = d.T_scene_model @ np.linalg.inv(model.T_object_model)
+        T_scene_object = d.T_scene_model @ inverse(model.T_object_model)
         xyz = local.astype(np.float64) @ T_scene_object[:3, :3].T + T_scene_object[:3, 3]
         vertices.append(cloud_rows(xyz, np.array(colours[d.model], np.uint8), "<f8"))
         faces.append(model.faces + count)

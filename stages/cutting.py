@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.stages.frames import transform, yaw_matrix
+from spinpipe.stages.frames import inverse, transform, yaw_matrix
 from spinpipe.stages.ground_grid import GroundGrid, ground_grid, ground_spread
 
 F64 = NDArray[np.float64]
@@ -67,7 +67,7 @@ def cut_instance(
     pose = yaw_matrix(heading_deg, np.append(centre, base_z or 0.0))
     if base_z is None:
         pose[2, 3] = _ground_below(grid, pose, size)
-    in_object = transform(_inverse(pose), points)
+    in_object = transform(inverse(pose), points)
     inside = np.all(np.abs(in_object[:, :2]) <= size[:2] / 2, axis=1) & (in_object[:, 2] <= size[2])
     above_ground = points[:, 2] - grid.heights(points[:, :2])
     height = float(size[2])
@@ -80,12 +80,8 @@ def _ground_below(grid: GroundGrid, pose: F64, size: F64) -> float:
     """Middle height of the ground seen next to the box, else of what lies below it."""
     x, y = np.meshgrid(*(np.arange(n) for n in grid.height.shape), indexing="ij")
     middles = grid.low + grid.cell_m * (np.stack([x.ravel(), y.ravel()], axis=1) + 0.5)
-    offset = transform(_inverse(pose), np.column_stack([middles, np.zeros(len(middles))]))
+    offset = transform(inverse(pose), np.column_stack([middles, np.zeros(len(middles))]))
     outside = np.max(np.abs(offset[:, :2]) - size[:2] / 2, axis=1)
     beside = (outside > 0) & (outside < min(size[:2]) / 2) & grid.seen.ravel()
     heights = grid.height.ravel()[beside]
     return float(np.median(heights)) if len(heights) else float(grid.heights(pose[None, :2, 3])[0])
-
-
-def _inverse(T: F64) -> F64:
-    return np.asarray(np.linalg.inv(T), np.float64)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from spinpipe.schemas.records import ObjectModel
-from spinpipe.stages.frames import transform, yaw_matrix
+from spinpipe.stages.frames import inverse, transform, yaw_matrix
 from spinpipe.stages.free_places import Place
 from spinpipe.stages.ground_grid import GroundGrid
 from spinpipe.stages.seen_from_above import seen_from_above
@@ -75,7 +75,7 @@ class Plant:
         T = self.T_world_object
         reach = float(np.abs(self.top_low).max()) * 2**0.5 + self.top_cell_m
         hidden = np.all(np.abs(points[:, :2] - T[:2, 3]) <= reach, axis=1)
-        near = transform(_inverse(T), points[hidden])
+        near = transform(inverse(T), points[hidden])
         cell = np.floor((near[:, :2] - self.top_low) / self.top_cell_m).astype(np.int64)
         shape = np.array(self.top.shape)
         over = np.all((cell >= 0) & (cell < shape), axis=1)
@@ -228,7 +228,3 @@ def _top_of(points: F64, cell_m: float) -> tuple[F64, F64]:
     cell = ((points[:, :2] + reach) / cell_m).astype(np.int64)
     np.maximum.at(top, (cell[:, 0], cell[:, 1]), points[:, 2])
     return top, -reach
-
-
-def _inverse(T: F64) -> F64:
-    return np.asarray(np.linalg.inv(T), np.float64)
