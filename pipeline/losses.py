@@ -190,7 +190,7 @@ class _Trail:
     def _why_no_hit(self, row: int) -> str:
         best = self._best_correlation[row]
         if best == -math.inf:
-            return "no scene point was looked at here"
+            return "no hit: no scene point here stands as high as the model's top"
         return f"no hit: the best correlation was {best:.2f}"
 
 

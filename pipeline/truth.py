@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import difflib
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,19 +65,25 @@ def read_truth(
             table = csv.DictReader(stream, skipinitialspace=True)
             header = [name.strip() for name in table.fieldnames or ()]
             table.fieldnames = header
-            if missing := {"x", "y"} - set(header):
-                raise StageError(
-                    f"{path}: no column '{min(missing)}'; the header must name x and y, "
-                    f"and may name {', '.join(set_aside(COLUMNS, ('x', 'y')))}"
-                )
+            _check_header(header, path)
             return [_object(row, table.line_num, T, rotation, path) for row in table]
     except (UnicodeDecodeError, csv.Error) as error:
         raise StageError(f"{path}: not a CSV file: {error}") from None
 
 
-def set_aside(names: tuple[str, ...], without: tuple[str, ...]) -> list[str]:
-    """``names`` in order, but ``without`` some."""
-    return [name for name in names if name not in without]
+def _check_header(header: list[str], path: Path) -> None:
+    """Refuse a header without places, or with a name that is nearly one of ours."""
+    for name in ("x", "y"):
+        if name not in header:
+            raise StageError(
+                f"{path}: no column '{name}'; the header must name x and y, "
+                "and may name model, z, heading_deg, axis_deg, ignore"
+            )
+    for name in header:
+        missing = [column for column in COLUMNS if column not in header]
+        meant = difflib.get_close_matches(name, missing, n=1, cutoff=0.65)
+        if name not in COLUMNS and meant:
+            raise StageError(f"{path}: unknown column '{name}'; rename it: '{meant[0]}' is known")
 
 
 def _object(

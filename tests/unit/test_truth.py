@@ -77,6 +77,7 @@ def test_world_coordinates_stay(tmp_path):
     [
         ("model,x\ncar,1\n", "no column 'y'"),
         ("", "no column 'x'"),
+        ("x,y,heading\n1,2,3\n", "unknown column 'heading'; rename it: 'heading_deg'"),
         ("x,y\n1,two\n", "line 2: y = 'two' is no number"),
         ("x,y\n1,nan\n", "line 2: y = 'nan' is no number"),
         ("x,y\n1,\n", "line 2: x or y is empty"),
