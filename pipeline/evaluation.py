@@ -144,8 +144,8 @@ def precision_recall(
 ) -> Curve:
     """Accept every candidate from a score upwards, for every score there is.
 
-    Rejected candidates take part, but a place holds one instance: a rejected one less than half
-    its width from a candidate with a better score is left out. The average precision is the area
+    Rejected candidates take part, but a place holds one instance: a rejected one that gave way to
+    a better one, or stands less than half its width from one, is left out. The average precision is the area
     under the curve whose precision is made non-increasing [Everingham et al. 2010, section 4.2].
     """
     order = sorted(range(len(detections)), key=lambda i: (-detections[i].score, detections[i].id))
@@ -217,11 +217,16 @@ def _one_a_place(detections: Sequence[Detection], order: list[int]) -> list[int]
         place = np.array(d.position_world[:2])
         reach = min(d.size_m[:2]) / 2
         crowded = np.linalg.norm(places[: len(kept)] - place, axis=1) < reach
-        if d.fate == "rejected" and crowded.any():
+        if d.fate == "rejected" and (crowded.any() or gave_way(d)):
             continue
         places[len(kept)] = place
         kept.append(i)
     return kept
+
+
+def gave_way(detection: Detection) -> bool:
+    """Whether a detection was rejected because a better one explains the same place."""
+    return detection.fate == "rejected" and detection.reason.startswith("overlaps ")
 
 
 def percentiles(values: Sequence[float | None], *levels: float) -> list[float | None]:

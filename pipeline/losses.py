@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import KDTree
 
-from spinpipe.pipeline.evaluation import Rule, Score, distances
+from spinpipe.pipeline.evaluation import Rule, Score, distances, gave_way
 from spinpipe.pipeline.export import ReadTopic
 from spinpipe.pipeline.truth import TruthObject
 from spinpipe.schemas import CLUSTERS, HITS, MODELS, SCORES
@@ -149,7 +149,7 @@ class _Trail:
     def _fate(self, row: int, candidate: int, found_by: dict[int, TruthObject]) -> tuple[str, str]:
         d = self._detections[candidate]
         if d.fate == "rejected":
-            return ("resolve" if is_resolution(d.reason) else "verify"), d.reason
+            return ("resolve" if gave_way(d) else "verify"), d.reason
         if candidate in found_by:
             return "verify", f"its candidate took {describe(found_by[candidate])}"
         if not self._ended[row, candidate]:
@@ -192,11 +192,6 @@ class _Trail:
         if best == -math.inf:
             return "no hit: no scene point here stands as high as the model's top"
         return f"no hit: the best correlation was {best:.2f}"
-
-
-def is_resolution(reason: str) -> bool:
-    """Whether a rejected one gave way to a better one in the same place."""
-    return reason.startswith(("overlap", "explained"))
 
 
 def _top_offset_m(model: ObjectModel) -> float:

@@ -31,6 +31,8 @@ from spinpipe.stages.stage import StageError
 
 CELLS_ACROSS = 8
 """Cells of the ground across the narrow side of the smallest model."""
+MOST_CELLS = 4000
+"""Along each side of the ground's grid."""
 NEIGHBOURS = 8
 """Of a point, that tell how far apart points are."""
 
@@ -127,7 +129,9 @@ def _ground(cloud: WorldCloud, footprints: Sequence[Footprint]) -> GroundGrid:
     narrow = min(min(f.length_m, f.width_m) for f in footprints)
     longest = max(max(f.length_m, f.width_m) for f in footprints)
     largest = int(np.argmax(cloud.counts))
-    cell_m = max(narrow / CELLS_ACROSS, 2 * _spacing_m(cloud.points(largest)))
+    spacing_m = _spacing_m(cloud.points(largest))
+    finest_m = float((high - low).max()) / MOST_CELLS
+    cell_m = max(narrow / CELLS_ACROSS, 2 * spacing_m, finest_m)
     return ground_grid(
         _pieces(cloud),
         low,

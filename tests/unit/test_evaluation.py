@@ -24,14 +24,14 @@ def truth(x, y=0.0, *, model="car", z=np.nan, heading=None, axis=None, ignore=Fa
     )
 
 
-def detection(x, y=0.0, *, number=0, model="car", z=0.0, heading=0.0, score=0.9, fate="accepted"):
+def detection(x, y=0.0, *, number=0, model="car", z=0.0, heading=0.0, score=0.9, **more):
     pose = np.eye(4)
     return Detection(
         id=number,
         cluster=number,
         model=model,
-        fate=fate,
-        reason="",
+        fate=more.get("fate", "accepted"),
+        reason=more.get("reason", ""),
         T_world_object=pose,
         T_scene_model=pose,
         position_world=(x, y, z),
@@ -151,6 +151,7 @@ def test_curve():
         detection(30.0, number=3, score=0.6),
         # no second candidate for the same place
         detection(10.2, number=4, score=0.5, fate="rejected"),
+        detection(11.8, number=5, score=0.4, fate="rejected", reason="overlaps candidate 2"),
     ]
     curve = precision_recall(truths, detections, 1.5, "any")
     np.testing.assert_allclose(curve.score, [0.9, 0.8, 0.7, 0.6])
