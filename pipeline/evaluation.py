@@ -145,8 +145,9 @@ def precision_recall(
     """Accept every candidate from a score upwards, for every score there is.
 
     Rejected candidates take part, but a place holds one instance: a rejected one that gave way to
-    a better one, or stands less than half its width from one, is left out. The average precision is the area
-    under the curve whose precision is made non-increasing [Everingham et al. 2010, section 4.2].
+    a better one, or stands less than half its width from one, is left out. The average precision
+    is the area under the curve whose precision is made non-increasing
+    [Everingham et al. 2010, section 4.2].
     """
     order = sorted(range(len(detections)), key=lambda i: (-detections[i].score, detections[i].id))
     order = _one_a_place(detections, order)
