@@ -38,6 +38,7 @@ class StageReport:
     action: str
     reason: str
     seconds: float = 0.0
+    """Of the run that computed it, also where it is reused; likewise the notes."""
     notes: list[str] = field(default_factory=list[str])
 
 
@@ -74,6 +75,9 @@ class Runner:
                 self._run_stage(step, report)
             else:
                 self._require_unchanged(step)
+                result = read_metadata(self._folder.mcap(step.stage.name), "result")
+                report.seconds = float(result["seconds"])
+                report.notes = json.loads(result["notes"])
             on_stage(step.stage.name)
         return reports
 
@@ -117,7 +121,8 @@ class Runner:
                 step.stage.run(context)
             report.seconds = round(time.perf_counter() - began, 3)
             report.notes = context.notes
-            writer.close({"seconds": str(report.seconds)} | library_versions())
+            result = {"seconds": str(report.seconds), "notes": json.dumps(report.notes)}
+            writer.close(result | library_versions())
         except StageError as error:
             writer.abandon()
             partial.unlink()
