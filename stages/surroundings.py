@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import percentile_filter
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from spinpipe.schemas.records import Sampling
 from spinpipe.stages.columns import column_order
@@ -107,7 +107,7 @@ def _plane_noise(xyz: F64, first: I64) -> float:
     b, c = (xz * yy - yz * xy) / det, (yz * xx - xz * xy) / det
     freedom = counts[fit] - 3
     # what 30 % of the patches stay below, as a share of the variance, were all of them plain
-    share = chi2.ppf(0.3, freedom) / freedom
+    share = 2 * gammaincinv(freedom / 2, 0.3) / freedom
     residual = np.clip(zz - b * xz - c * yz, 0.0, None) / freedom / share
     return float(np.sqrt(np.percentile(residual, 30)))
 
