@@ -15,7 +15,8 @@ from spinpipe.pipeline.drawing import CANDIDATE, NOTES, WORLD, Reader
 from spinpipe.schemas import MODELS, TILES, UPRIGHT
 from spinpipe.schemas.records import F64, ObjectModel, TileIndex
 
-_LABELLED = ("verify/accepted", "verify/ambiguous")
+Overrides = dict[rr.encodings.EntityPathLike, rr.Points3D | rr.Boxes3D]
+
 _STEPS_SHOWN = 40
 _FILL = 0.6
 _FAR_RADIUS = -1.5
@@ -60,11 +61,11 @@ def build_blueprint(read: Reader, preview_points: int, timeline: str = "stage") 
                 ),
                 _view_3d(
                     "Correlation with the model's spin image",
-                    ["+ /scan/correlation/**", *marks],
+                    ["+ /ingest/cloud/**", "+ /scan/correlation/**", *marks],
                     WORLD,
                     scene_eye,
                     far,
-                    labels=False,
+                    overrides=_faded(len(tiles.counts)),
                 ),
             ),
             rrb.Vertical(
@@ -117,9 +118,8 @@ def _view_3d(
     frame: str,
     eye: rrb.EyeControls3D,
     default: rr.Points3D,
-    labels: bool = True,
+    overrides: Overrides | None = None,
 ) -> rrb.Spatial3DView:
-    unlabelled = rr.Boxes3D.from_fields(show_labels=False)
     return rrb.Spatial3DView(
         name=name,
         contents=contents,
@@ -128,8 +128,17 @@ def _view_3d(
         line_grid=False,
         eye_controls=eye,
         defaults=[default],
-        overrides={} if labels else dict.fromkeys(_LABELLED, unlabelled),
+        overrides=overrides,
     )
+
+
+def _faded(tiles: int) -> Overrides:
+    """Cloud in one dark grey behind the origins that were scored, and boxes without labels."""
+    cloud = rr.Points3D.from_fields(colors=palette.SHADOW, radii=_FAR_RADIUS / 2)
+    boxes = rr.Boxes3D.from_fields(show_labels=False)
+    faded: Overrides = {f"ingest/cloud/{i:04d}": cloud for i in range(tiles)}
+    faded |= {"verify/accepted": boxes, "verify/ambiguous": boxes}
+    return faded
 
 
 def _spin_images(models: Sequence[str]) -> rrb.Tabs:

@@ -117,6 +117,8 @@ def draw_rms(rec: rr.RecordingStream, fits: Sequence[Fit]) -> None:
                 widths=np.full(rows.shape[1], width),
                 names=[f"start {i}" for i in range(starts)] if rows is curves else "best",
             ),
+            # a method that tells only how each start ended has no lines to draw
+            rr.SeriesPoints(colors=colours, marker_sizes=np.full(rows.shape[1], 1.5 * width)),
             static=True,
         )
         rec.send_columns(
