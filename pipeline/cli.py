@@ -178,7 +178,7 @@ def plant(
     picture: Annotated[bool, typer.Option(help="Draw RUN/plant/plant.png.")] = True,
     rerun: RerunOption = RerunMode.off,
 ) -> None:
-    """Plant the models into their scene and look for them: recall without labels."""
+    """Plant the models into their scene and look: recall without labels."""
     from spinpipe.pipeline.plant import plant_command
 
     plant_command(path, count, seed, picture, rerun.value)
@@ -196,7 +196,7 @@ def paper(
     model: Annotated[Path | None, typer.Option(metavar="FILE", help="A car's mesh for it.")] = None,
     truth: Annotated[Path | None, typer.Option(metavar="CSV", help="Its labels.")] = None,
 ) -> None:
-    """Repeat the experiments of the paper and print its numbers beside ours."""
+    """Repeat the paper's experiments; print its numbers beside ours."""
     from spinpipe.pipeline.paper import paper_command
 
     paper_command(output, scene, model, truth)
