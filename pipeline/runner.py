@@ -138,7 +138,7 @@ class Runner:
         commit(partial, self._folder.mcap(name))
         self._folder.interrupted(name).unlink(missing_ok=True)
         for note in report.notes:
-            self._console.print(f"      {'':<8} {note}", highlight=False, markup=False)
+            self._console.print(f"      {'':<8} {note}", highlight=False, markup=False, soft_wrap=True)
 
     def _set_aside(self, step: Step) -> None:
         """Keep the longer of what interrupted runs left, where ``Context.recovered`` finds it."""

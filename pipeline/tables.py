@@ -32,7 +32,7 @@ def detection_table(detections: Sequence[Detection]) -> Group:
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("fate")
     for d in shown[:MAX_ROWS]:
-        position = (f"{v:.2f}" for v in d.position_scene)
+        position = (f"{v:z.2f}" for v in d.position_scene)
         numbers = (f"{d.heading_deg:.0f}°", f"{d.rms_m:.3f}", f"{d.score:.2f}")
         table.add_row(str(d.id), d.model, *position, *numbers, d.fate)
     more = len(shown) - MAX_ROWS
