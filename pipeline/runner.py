@@ -83,7 +83,8 @@ class Runner:
 
     def _say(self, step: Step) -> None:
         action = {"run": "[bold]run  [/]", "reuse": "[dim]reuse[/]"}[step.action]
-        self._console.print(f"{action} {step.stage.name:<8} {step.reason}", highlight=False)
+        line = f"{action} {step.stage.name:<8} {step.reason}"
+        self._console.print(line, highlight=False, soft_wrap=True)
 
     def _require_unchanged(self, step: Step) -> None:
         """Another process may have worked in the folder after the plan was made."""
@@ -138,7 +139,9 @@ class Runner:
         commit(partial, self._folder.mcap(name))
         self._folder.interrupted(name).unlink(missing_ok=True)
         for note in report.notes:
-            self._console.print(f"      {'':<8} {note}", highlight=False, markup=False, soft_wrap=True)
+            self._console.print(
+                f"      {'':<8} {note}", highlight=False, markup=False, soft_wrap=True
+            )
 
     def _set_aside(self, step: Step) -> None:
         """Keep the longer of what interrupted runs left, where ``Context.recovered`` finds it."""
