@@ -1,0 +1,16 @@
+#!/bin/sh
+# Render docs/picture.png again from the demo's recording: docs/render.sh [RUN]
+# Needs a Vulkan driver; the software one will do: apt-get install mesa-vulkan-drivers libvulkan1
+set -eu
+cd "$(dirname "$0")/.."
+run=${1:-recordings/demo}
+[ -e "$run/run.rrd" ] || uv run spinpipe demo --output "$run"
+uv run python - "$run/run.rrd" docs/picture.png <<'END'
+import sys
+from pathlib import Path
+
+from spinpipe.pipeline.render import render
+
+recording, picture = map(Path, sys.argv[1:])
+sys.exit("\n".join(render(recording, picture, timeline="iteration", step=5)) or 0)
+END
