@@ -18,6 +18,17 @@ from spinpipe.stages.registration import inside_depth, nearest_sample
 EVIDENCE = ("supported", "contradicted", "explained", "claimed", "square_sum", "inside", "above")
 
 
+@njit(cache=True, nogil=True, inline="always")
+def cells_within(centre, reach, corner, pitch, cells):
+    """First cell that a span touches along one axis and the one past its last.
+
+    Equal where the span lies beside the grid: indices past its end would read foreign memory.
+    """
+    low = int(math.floor((centre - reach - corner) / pitch))
+    high = int(math.floor((centre + reach - corner) / pitch)) + 1
+    return min(max(low, 0), cells), min(max(high, 0), cells)
+
+
 @njit(cache=True, nogil=True)
 def model_evidence(
     points,
@@ -81,16 +92,14 @@ def model_evidence(
         nz = max(normals[k, 2], 0.3)
         slope = math.sqrt(1.0 - nz * nz) / nz
         band = gate / nz
-        i0 = max(int(math.floor((x - column_m - corner[0]) / cell_m)), 0)
-        i1 = min(int(math.floor((x + column_m - corner[0]) / cell_m)), cells[0] - 1)
-        j0 = max(int(math.floor((y - column_m - corner[1]) / cell_m)), 0)
-        j1 = min(int(math.floor((y + column_m - corner[1]) / cell_m)), cells[1] - 1)
+        i0, i1 = cells_within(x, column_m, corner[0], cell_m, cells[0])
+        j0, j1 = cells_within(y, column_m, corner[1], cell_m, cells[1])
         at = 0
         below = 0
         height = 0.0
         above = 0
-        for i in range(i0, i1 + 1):
-            for n in range(cell_start[i * cells[1] + j0], cell_start[i * cells[1] + j1 + 1]):
+        for i in range(i0, i1):
+            for n in range(cell_start[i * cells[1] + j0], cell_start[i * cells[1] + j1]):
                 dx, dy = points[n, 0] - x, points[n, 1] - y
                 if dx * dx + dy * dy > radius2:
                     continue
@@ -157,13 +166,11 @@ def outline_evidence(
         my = outline[k, 1] * pose[5] + normals[k, 1] * beyond_m
         x = pose[0] + c * mx - s * my
         y = pose[1] + s * mx + c * my
-        i0 = max(int(math.floor((x - column_m - corner[0]) / cell_m)), 0)
-        i1 = min(int(math.floor((x + column_m - corner[0]) / cell_m)), cells[0] - 1)
-        j0 = max(int(math.floor((y - column_m - corner[1]) / cell_m)), 0)
-        j1 = min(int(math.floor((y + column_m - corner[1]) / cell_m)), cells[1] - 1)
+        i0, i1 = cells_within(x, column_m, corner[0], cell_m, cells[0])
+        j0, j1 = cells_within(y, column_m, corner[1], cell_m, cells[1])
         count = 0
-        for i in range(i0, i1 + 1):
-            for n in range(cell_start[i * cells[1] + j0], cell_start[i * cells[1] + j1 + 1]):
+        for i in range(i0, i1):
+            for n in range(cell_start[i * cells[1] + j0], cell_start[i * cells[1] + j1]):
                 dx, dy = points[n, 0] - x, points[n, 1] - y
                 if dx * dx + dy * dy <= radius2 and count < 64:
                     heights[count] = points[n, 2]

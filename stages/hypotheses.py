@@ -13,7 +13,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spinpipe.stages.evidence import model_evidence, outline_evidence, scene_evidence
+from spinpipe.stages.evidence import (
+    cells_within,
+    model_evidence,
+    outline_evidence,
+    scene_evidence,
+)
 from spinpipe.stages.model_field import ModelField
 from spinpipe.stages.registration import POSE, coarse_fit, refine
 from spinpipe.stages.spin_kernel import map_threads
@@ -246,20 +251,15 @@ def _parts(count: int) -> list[slice]:
 @njit(cache=True, nogil=True)
 def _within(points, start, cells, corner, cell_m, x, y, radius):
     """Rows of the points within a horizontal distance."""
-    i0 = max(int(math.floor((x - radius - corner[0]) / cell_m)), 0)
-    i1 = min(int(math.floor((x + radius - corner[0]) / cell_m)), cells[0] - 1)
-    j0 = max(int(math.floor((y - radius - corner[1]) / cell_m)), 0)
-    j1 = min(int(math.floor((y + radius - corner[1]) / cell_m)), cells[1] - 1)
-    rows = np.empty(0, np.int64)
-    if i1 < i0 or j1 < j0:
-        return rows
+    i0, i1 = cells_within(x, radius, corner[0], cell_m, cells[0])
+    j0, j1 = cells_within(y, radius, corner[1], cell_m, cells[1])
     total = 0
-    for i in range(i0, i1 + 1):
-        total += start[i * cells[1] + j1 + 1] - start[i * cells[1] + j0]
+    for i in range(i0, i1):
+        total += start[i * cells[1] + j1] - start[i * cells[1] + j0]
     rows = np.empty(total, np.int64)
     count = 0
-    for i in range(i0, i1 + 1):
-        for n in range(start[i * cells[1] + j0], start[i * cells[1] + j1 + 1]):
+    for i in range(i0, i1):
+        for n in range(start[i * cells[1] + j0], start[i * cells[1] + j1]):
             dx, dy = points[n, 0] - x, points[n, 1] - y
             if dx * dx + dy * dy < radius * radius:
                 rows[count] = n

@@ -23,6 +23,7 @@ from spinpipe.stages.hypotheses import (
     tolerance,
 )
 from spinpipe.stages.model_field import ModelField
+from spinpipe.stages.registration import POSE
 from spinpipe.stages.resolve import resolve
 from spinpipe.stages.scoring import PARTS, score, score_parts
 from spinpipe.stages.surroundings import Sampling, Surroundings, build_surroundings
@@ -129,6 +130,13 @@ class Hypotheses:
         )
 
     @staticmethod
+    def none() -> Hypotheses:
+        """No hypothesis."""
+        rows = np.empty(0, np.int64)
+        columns = (np.empty((0, n)) for n in (POSE, len(PARTS), len(EVIDENCE)))
+        return Hypotheses(rows, rows, *columns, np.empty(0))
+
+    @staticmethod
     def joined(tables: Sequence[Hypotheses]) -> Hypotheses:
         """All hypotheses of several tables, in order."""
         return Hypotheses(
@@ -173,6 +181,8 @@ class Examiner:
         places : (C, 3) world, where the topmost point of an instance may be.
         threads : how many the kernels may use; the result is the same.
         """
+        if len(points) == 0:
+            return Hypotheses.none()
         scene = build_surroundings(points, self.sampling, self.ground_reach_m)
         first = self._first_look(scene, places, threads)
         second = self._second_look(scene, first, threads)
