@@ -15,4 +15,6 @@ def njit(
     inline: Literal["never", "always"] = ...,
     error_model: Literal["python", "numpy"] = ...,
     boundscheck: bool = ...,
+    no_cpython_wrapper: bool = ...,
+    no_cfunc_wrapper: bool = ...,
 ) -> Callable[[F], Callable[..., Any]]: ...
