@@ -1,4 +1,4 @@
-"""A part of a cloud that keeps its density: whole squares of the ground, the same for any tiling."""
+"""A part of a cloud that keeps its density: whole squares, the same for any tiling."""
 
 from __future__ import annotations
 

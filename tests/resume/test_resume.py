@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -156,7 +156,7 @@ def test_a_file_that_another_run_replaced_is_not_reused(
     go_on(cli, other, "--set", "scan.bin_m=0.25")
 
     @contextmanager
-    def late(folder: RunFolder) -> Iterator[None]:
+    def late(folder: RunFolder) -> Generator[None]:
         shutil.copy(other.mcap("scan"), yard_run.mcap("scan"))
         with locked(folder):
             yield
