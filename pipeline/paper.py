@@ -40,8 +40,8 @@ The experiments of section 3 of E. Bovenkamp et al., "Single Spin Image-ICP Matc
 the paper's description (250,000 points, four cars of each of two models, one car of model 1 under
 a tent, trees, poles, boxes, a house); it is not the paper's own, so numbers compare in kind.
 "Found" counts cars with a candidate or a detection within 1.5 m, one each; "false" are those on no
-car. "The paper's recipe" is its scan and clustering with its numbers; "spinpipe" is the whole
-pipeline with its defaults, which were not set for this scene."""
+car. Which way is up is known, as in the paper. "The paper's recipe" is its scan and clustering with
+its numbers; "spinpipe" is the whole pipeline with its defaults."""
 CARS = 4
 LARGEST_SHOWN = 12
 """Counts above are drawn at the border of a figure: they reach hundreds."""
