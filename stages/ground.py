@@ -99,10 +99,9 @@ class Ground:
         ctx.write(UPRIGHT, upright)
         sampling = _measure_sampling(ctx, upright)
         ctx.write(SAMPLING, sampling)
-        ctx.log(
-            f"up is {format_vector(up)} in scene axes (from {plane.up_source});"
-            f" ground rms {plane.rms_m:.3f} m, {plane.inliers / plane.points:.0%} of the surface"
-        )
+        share = plane.inliers / plane.points
+        ctx.log(f"up is {format_vector(up)} in scene axes (from {plane.up_source})")
+        ctx.log(f"ground rms {plane.rms_m:.3f} m, {share:.0%} of the surface")
         ctx.log(f"points {sampling.spacing_m:.3f} m apart, noise {sampling.noise_m:.3f} m")
 
 
