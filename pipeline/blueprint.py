@@ -79,15 +79,7 @@ def build_blueprint(read: Reader, preview_points: int, timeline: str = "stage") 
                     ),
                     rrb.TextDocumentView(origin=NOTES, name="Notes"),
                 ),
-                rrb.Horizontal(
-                    _spin_images([model.name for model in models]),
-                    rrb.BarChartView(
-                        origin="/scan/histogram",
-                        name="Correlations, log10",
-                        plot_legend=rrb.PlotLegend(visible=False),
-                    ),
-                    column_shares=[5, 3],
-                ),
+                _spin_images([model.name for model in models]),
                 rrb.Tabs(
                     _residuals(),
                     rrb.DataframeView(
@@ -149,6 +141,11 @@ def _spin_images(models: Sequence[str]) -> rrb.Tabs:
             rrb.Horizontal(
                 rrb.Spatial2DView(origin=f"{path}/model", name="Model"),
                 rrb.Spatial2DView(origin=f"{path}/scene", name="Best match"),
+                rrb.BarChartView(
+                    origin=model_path("/scan/histogram", model),
+                    name="Correlations, log10",
+                    plot_legend=rrb.PlotLegend(visible=False),
+                ),
                 name=model,
             )
         )

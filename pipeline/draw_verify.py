@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
@@ -179,11 +180,12 @@ def _summary(detections: Sequence[Detection]) -> str:
 
 
 def _reasons(d: Detection) -> str:
+    rival = f"{d.runner_up_rms_m:.3f} m at {d.runner_up_heading_deg:.0f}°"
     numbers = [
         ("score", f"{d.score:.3f}"),
         ("correlation", f"{d.correlation:.3f}"),
         ("residual", f"{d.rms_m:.3f} m, {d.inliers} inliers"),
-        ("runner-up", f"{d.runner_up_rms_m:.3f} m at {d.runner_up_heading_deg:.0f}°"),
+        ("runner-up", rival if math.isfinite(d.runner_up_rms_m) else "none"),
         ("heading", f"{d.heading_deg:.1f}°, margin {d.heading_margin:.2f}"),
         ("model explained by scene", f"{d.coverage_model:.0%}"),
         ("scene explained by model", f"{d.coverage_scene:.0%}"),
