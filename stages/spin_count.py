@@ -20,7 +20,12 @@ from numpy.typing import NDArray
 
 from spinpipe.stages.spin_image import FLAT_VARIANCE
 
-inner = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+inner = njit(
+    nogil=True,
+    error_model="numpy",
+    no_cpython_wrapper=True,  # pyright: ignore[reportCallIssue]
+    no_cfunc_wrapper=True,  # pyright: ignore[reportCallIssue]
+)
 """Compiles what only other kernels call; ``spin_scan`` caches the outermost ones."""
 
 LANES = 16
@@ -140,9 +145,9 @@ def fill(line, value):
 
 
 @inner
-def _first_at_least(ascending, value):
-    """Find the first element that is not less than ``value``."""
-    begin, end = 0, len(ascending)
+def _first_at_least(ascending, begin, value):
+    """Find the first element from ``begin`` on that is not less than ``value``."""
+    end = len(ascending)
     while begin < end:
         mid = (begin + end) >> 1
         if ascending[mid] < value:
@@ -183,15 +188,19 @@ def _collect_runs(index, box, radius, height):
     runs = np.empty((2, 16), np.int64)
     found = 0
     last_ix = min(np.floor((x1 + reach) / cell_m), nx - 1.0)
-    ix = np.int64(max(np.floor((x0 - reach) / cell_m), 0.0)) if last_ix >= 0 else nx
-    while ix <= last_ix:
+    first_ix = min(max(np.floor((x0 - reach) / cell_m), 0.0), np.float64(nx))
+    c = _first_at_least(index.key, 0, np.int64(first_ix) * ny)
+    while c < len(index.key):  # row by row, empty ones left out
+        ix = index.key[c] // ny
+        if ix > last_ix:
+            break
         gap = max(max(ix * cell_m - x1, x0 - (ix + 1) * cell_m), 0.0)
         half = np.sqrt(max(reach * reach - gap * gap, 0.0)) + SLACK * reach
-        first_iy = max(np.floor((y0 - half) / cell_m), 0.0)
+        first_iy = min(max(np.floor((y0 - half) / cell_m), 0.0), np.float64(ny))
         last_iy = min(np.floor((y1 + half) / cell_m), ny - 1.0)
         if first_iy <= last_iy:
             last_key = ix * ny + np.int64(last_iy)
-            c = _first_at_least(index.key, ix * ny + np.int64(first_iy))
+            c = _first_at_least(index.key, c, ix * ny + np.int64(first_iy))
             while c < len(index.key) and index.key[c] <= last_key:
                 if box[5] - index.bounds[4, c] > np.float32(0) and (
                     box[4] - index.bounds[5, c] < height
@@ -208,7 +217,7 @@ def _collect_runs(index, box, radius, height):
                         runs[0, found], runs[1, found] = begin, end
                         found += 1
                 c += 1
-        ix += 1
+        c = _first_at_least(index.key, c, (ix + 1) * ny)
     return found, runs
 
 
@@ -216,11 +225,11 @@ def _collect_runs(index, box, radius, height):
 def _number_buckets(x, y, z, box, radius_sq, per_m, numbers):
     """Find each point's bucket of depth; BUCKETS for those out of reach of ``box`` (vectorised)."""
     x0, x1, y0, y1, top = box[0], box[1], box[2], box[3], box[5]
-    zero, last = np.float32(0), np.int32(BUCKETS - 1)
+    zero, last = np.float32(0), np.float32(BUCKETS - 1)
     for j in range(len(x)):
         dx = max(max(x0 - x[j], x[j] - x1), zero)
         dy = max(max(y0 - y[j], y[j] - y1), zero)
-        bucket = min(np.int32((top - z[j]) * per_m), last)
+        bucket = np.int32(min((top - z[j]) * per_m, last))
         numbers[j] = np.uint16(bucket if dx * dx + dy * dy < radius_sq else BUCKETS)
 
 
@@ -276,9 +285,10 @@ def gather(index, box, radius_sq, height, origins):
 @inner
 def depth_window(near, low, high, height):
     """Find the gathered points that hold all an origin between ``low`` and ``high`` can see."""
-    begin = np.int64((near.top - high) * near.per_m)
-    end = np.int64((near.top - low + height) * near.per_m) + 2  # one bucket for rounding
-    return near.first[begin], near.first[min(end, len(near.first) - 1)]
+    last = np.float32(BUCKETS - 1)
+    begin = np.int64(min((near.top - high) * near.per_m, last))
+    end = np.int64(min((near.top - low + height) * near.per_m, last)) + 2  # one for rounding
+    return near.first[begin], near.first[min(end, BUCKETS)]
 
 
 @inner

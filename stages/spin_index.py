@@ -87,15 +87,7 @@ def build_index(points: NDArray[Any], cell_m: float | None = None) -> SpinIndex:
             cells=np.ones(2, np.int64),
             cell_m=side,
         )
-    corner = cloud[:, :2].min(axis=0).astype(np.float64)
-    span = cloud[:, :2].max(axis=0) - corner
-    side = max(side, float(span.max()) * 2.0**-30)  # keys must fit 63 bits
-    cells = (span / side).astype(np.int64) + 1
-    ix = ((cloud[:, 0] - corner[0]) / side).astype(np.int64)
-    iy = ((cloud[:, 1] - corner[1]) / side).astype(np.int64)
-    key = ix * cells[1] + iy
-    order = _order(key, int(cells.prod()), cloud[:, 2])
-    key = key[order]
+    order, key, corner, cells, side = sort_by_cell(cloud, side)
     xyz = np.zeros((3, len(cloud) + PAD), np.float32)
     for axis in range(3):
         np.take(cloud[:, axis], order, out=xyz[axis, : len(cloud)])
@@ -115,14 +107,48 @@ def build_index(points: NDArray[Any], cell_m: float | None = None) -> SpinIndex:
     return SpinIndex(xyz, start, key[first], bounds, corner, cells, side)
 
 
-def _order(key: NDArray[np.int64], cells: int, z: NDArray[np.float32]) -> NDArray[np.intp]:
-    """Order by key, then height: one sort of 64-bit numbers where the keys leave 32 bits free."""
-    if cells >= 2**31:
-        key = np.unique(key, return_inverse=True)[1].astype(np.int64)
-    # Bits of a float32 as an integer in the same order: negative ones are flipped.
-    bits = np.ascontiguousarray(z).view(np.int32)
-    ordered = np.where(bits < 0, ~bits, bits | np.int32(-(2**31))).view(np.uint32)
-    return np.argsort((key.astype(np.uint64) << np.uint64(32)) | ordered)
+def sort_by_cell(
+    cloud: NDArray[np.float32], side: float
+) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], float]:
+    """Order points by horizontal cell, then by height.
+
+    Parameters
+    ----------
+    cloud : (N, 3) float32 array
+        At least one point.
+    side : float
+        Side of a cell, metres.
+
+    Returns
+    -------
+    order : (N,) array
+    key : (N,) int64 array
+        Cell of each point in that order, ``ix * cells[1] + iy``.
+    corner : (2,) float64 array
+        Corner of the first cell.
+    cells : (2,) int64 array
+        Number of cells along x and y.
+    side : float
+        As given, or larger where the keys would not fit 63 bits.
+    """
+    x, y, z = np.ascontiguousarray(cloud.T)
+    corner = np.array([x.min(), y.min()], np.float64)
+    span = np.array([x.max(), y.max()], np.float64) - corner
+    side = max(side, float(span.max()) * 2.0**-30)
+    cells = (span / side).astype(np.int64) + 1
+    key = ((x - corner[0]) / side).astype(np.int64) * cells[1]
+    key += ((y - corner[1]) / side).astype(np.int64)
+    # One sort of 64-bit numbers: the cell's rank above, the height below.
+    rank = key if cells.prod() < 2**31 else np.unique(key, return_inverse=True)[1]
+    order = np.argsort((rank.astype(np.uint64) << np.uint64(32)) | _ascending(z))
+    return order, key[order], corner, cells, side
+
+
+def _ascending(values: NDArray[np.float32]) -> NDArray[np.uint32]:
+    """Map finite float32 to integers in the same order: the bits, all flipped where negative."""
+    bits = values.view(np.uint32)
+    negative = np.negative(bits >> np.uint32(31))  # all ones or zero
+    return bits ^ (negative | np.uint32(2**31))
 
 
 def _cell_from_density(cloud: NDArray[np.float32]) -> float:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from spinpipe.stages.spin_count import IndexArrays, Templates, make_scratch
 from spinpipe.stages.spin_image import SpinGrid, SpinTemplate
-from spinpipe.stages.spin_index import SpinIndex, build_index
+from spinpipe.stages.spin_index import SpinIndex, build_index, sort_by_cell
 from spinpipe.stages.spin_pruning import make_test_scratch
 from spinpipe.stages.spin_scan import count_blocks, scan_blocks
 
@@ -167,13 +167,12 @@ class OriginBlocks:
         points = np.ascontiguousarray(np.asarray(origins, dtype=np.float32).reshape(-1, 3))
         if not np.isfinite(points).all():
             raise ValueError("scan: origins hold NaN or infinite coordinates; drop them")
-        squares = np.floor(points[:, :2].astype(np.float64) / side_m)
-        order = np.lexsort((points[:, 2], squares[:, 1], squares[:, 0]))
-        ordered = squares[order]
-        fresh = np.ones(len(points), bool)
-        fresh[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+        if len(points) == 0:
+            return cls(points, np.zeros(0, np.int64), np.zeros(1, np.int64))
+        order, square, *_ = sort_by_cell(points, side_m)
+        fresh = np.r_[True, square[1:] != square[:-1]]
         first = np.flatnonzero(fresh)
-        rank = np.arange(len(points)) - np.repeat(first, np.diff(np.r_[first, len(points)]))
+        rank = np.arange(len(points)) - np.repeat(first, np.diff(first, append=len(points)))
         start = np.r_[np.flatnonzero(rank % most == 0), len(points)]
         return cls(points, order, start)
 

@@ -407,7 +407,7 @@ def _test(near, box, count, limit, templates, wanted, tests, work):
         rows, cols = np.int64(bins.rows), np.int64(bins.cols)
         d, e = _widened(shift * bins.scale, cols), _widened(dz * bins.scale, rows)
         begin, end = depth_window(near, box[4], box[5], bins.height)
-        if d > MAX_SHIFT_BINS or e > MAX_LIFT_BINS:
+        if not (d <= MAX_SHIFT_BINS and e <= MAX_LIFT_BINS):
             return 1.0
         if count * (end - begin) < 2 * (end - begin + TEST_COST):
             return 0.0
