@@ -1,0 +1,99 @@
+"""Whole runs over real reconstructions, judged by their labels."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from spinpipe.pipeline.context import RunReader
+from spinpipe.pipeline.run_folder import RunFolder
+from spinpipe.schemas import CAMERAS, PLANE, SCENE, TILES, UPRIGHT
+from spinpipe.stages.frames import transform, world_from_scene
+
+if TYPE_CHECKING:
+    from tests.conftest import Cli, Outcome
+
+CARPARK = Path(__file__).parents[2] / "recordings" / "carpark.toml"
+
+
+def need(path: Path) -> Path:
+    if not path.exists():
+        pytest.skip(f"{path.name} is not here")
+    return path
+
+
+def run(cli: Cli, scene: Path, output: Path, *options: str) -> Outcome:
+    outcome: Outcome = cli(
+        *("run", CARPARK, "--rerun", "off", "-o", output, "--set", f"ingest.scene={scene}"),
+        *options,
+    )
+    assert outcome.code == 0, outcome.err
+    return outcome
+
+
+@pytest.mark.parametrize(("name", "cars"), [("photo-west", 32), ("lot-north", 71)])
+def test_a_car_park_gives_its_cars(
+    cli: Cli, shared_data: Path, tmp_path: Path, name: str, cars: int
+) -> None:
+    folder = need(shared_data / name)
+    run(cli, folder / "scene.ply", tmp_path / "run")
+    outcome = cli("eval", tmp_path / "run", "--truth", folder / "truth.csv", "--any-model")
+    assert outcome.code == 0, outcome.err
+    report = json.loads((tmp_path / "run" / "eval.json").read_text())
+    assert report["labels"]["counted"] == cars
+    assert report["accepted"]["recall"] >= 0.95
+    assert report["accepted"]["precision"] >= 0.95
+
+
+def test_a_colmap_model_comes_with_its_cameras(cli: Cli, shared_data: Path, tmp_path: Path) -> None:
+    scene = need(shared_data / "brighton" / "colmap_sparse")
+    run(cli, scene, tmp_path / "run", "--until", "ground")
+    read = RunReader(RunFolder(tmp_path / "run"))
+    (frame,), (upright,), (cameras,) = read(SCENE), read(UPRIGHT), read(CAMERAS)
+    assert frame.points == 6847
+    assert len(cameras.positions) == 18
+    T = world_from_scene(frame, upright)
+    up = np.linalg.inv(T[:3, :3]) @ [0, 0, 1]
+    assert up[2] > np.cos(np.radians(3)), "its file is local east-north-up"
+    heights = transform(upright.T_world_local, cameras.positions)[:, 2]
+    assert heights.min() > 35
+    assert heights.max() < 60
+
+
+def test_a_pmvs_cloud_runs_to_the_end(cli: Cli, shared_data: Path, tmp_path: Path) -> None:
+    scene = need(shared_data / "brighton" / "pmvs" / "scene_binary.ply")
+    run(cli, scene, tmp_path / "run")
+    read = RunReader(RunFolder(tmp_path / "run"))
+    assert 590_000 < read(SCENE)[0].points < 600_000
+    assert read(TILES)[0].counts.sum() == read(SCENE)[0].points
+    assert read(PLANE)[0].normal[2] > np.cos(np.radians(5))
+    assert (tmp_path / "run" / "detections.json").exists()
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "formats/laspy_las/simple.las",
+        "formats/laspy_las/autzen_trim.laz",
+        "formats/odm_laz/brighton_small.laz",
+        "formats/colmap_fused_crlf/fused.ply",
+        "formats/colmap_old_bin/sparse/0",
+        "brighton/pmvs/option-first30000.ply",
+        "brighton/odm_model.laz",
+    ],
+)
+def test_files_of_other_programs_are_ingested(
+    cli: Cli, shared_data: Path, tmp_path: Path, name: str
+) -> None:
+    scene = need(shared_data / name)
+    outcome = cli(
+        *("run", CARPARK, "--rerun", "off", "-o", tmp_path / "run", "--until", "ingest"),
+        *("--set", f"ingest.scene={scene}", "--set", "ingest.scale=10"),
+    )
+    assert outcome.code == 0, outcome.err
+    read = RunReader(RunFolder(tmp_path / "run"))
+    assert read(SCENE)[0].points == read(TILES)[0].counts.sum() > 100
