@@ -119,7 +119,8 @@ class _Trail:
         clusters = {c.id: c.position for c in read(CLUSTERS)}
         starts = np.array([clusters[d.cluster] for d in detections]).reshape(-1, 3)
         reach = np.array([self._reach_m[d.model] for d in detections])
-        self._began = _horizontal(missed, starts) <= reach
+        self._start_distance = _horizontal(missed, starts)
+        self._began = self._start_distance <= reach
         self._ended = self._distance <= radius_m
         self._hits = self._count_hits()
 
@@ -138,22 +139,25 @@ class _Trail:
         return Loss(index, "scan", self._why_no_hit(row))
 
     def _best_candidate(self, row: int) -> int | None:
-        """Pick the detection that stands for the object: one that ended here, else that began."""
-        for near in (self._ended, self._began):
-            places = np.flatnonzero(near[row] & self._sought[row])
-            if len(places):
-                scores = [self._detections[i].score for i in places.tolist()]
-                return int(places[int(np.argmax(scores))])
+        """Pick the best detection that ended here, else the one that began nearest to here."""
+        ended = np.flatnonzero(self._ended[row] & self._sought[row])
+        if len(ended):
+            scores = [self._detections[i].score for i in ended.tolist()]
+            return int(ended[int(np.argmax(scores))])
+        began = np.flatnonzero(self._began[row] & self._sought[row])
+        if len(began):
+            return int(began[int(np.argmin(self._start_distance[row, began]))])
         return None
 
     def _fate(self, row: int, candidate: int, found_by: dict[int, TruthObject]) -> tuple[str, str]:
         d = self._detections[candidate]
+        if not self._ended[row, candidate]:
+            away = f"its candidate ended {self._distance[row, candidate]:.2f} m away"
+            return "verify", f"{away}, {d.fate}: {d.reason}"
         if d.fate == "rejected":
             return ("resolve" if gave_way(d) else "verify"), d.reason
         if candidate in found_by:
             return "verify", f"its candidate took {describe(found_by[candidate])}"
-        if not self._ended[row, candidate]:
-            return "verify", f"its candidate ended {self._distance[row, candidate]:.2f} m away"
         return "verify", f"{d.fate}: {d.reason}"
 
     def _other_model(self, row: int) -> Detection | None:
