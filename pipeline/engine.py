@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 from spinpipe.pipeline.config import ConfigError, ExecutionSection
+from spinpipe.stages.spin_kernel import map_threads
 from spinpipe.stages.stage import StageError
 
 if TYPE_CHECKING:
@@ -36,13 +37,13 @@ class Engine(Protocol):
 
 @dataclass(frozen=True)
 class LocalEngine:
-    """One item after the other in this process; the kernels use the threads."""
+    """Items in threads of this process; within an item the kernels use the threads too."""
 
     threads: int
 
     def map(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
         """``function`` of every item, in order."""
-        return map(function, items)
+        return map_threads(function, items, self.threads)
 
 
 class DaskEngine:

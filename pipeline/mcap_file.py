@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import struct
+import threading
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -196,12 +197,16 @@ class Messages(Sequence[T], Generic[T]):
 
 def _reader(path: Path) -> SeekingReader:
     stat = path.stat()
-    return _open_reader(path, stat.st_ino, stat.st_mtime_ns, os.getpid())
+    thread = (os.getpid(), threading.get_ident())
+    return _open_reader(path, stat.st_ino, stat.st_mtime_ns, thread)
 
 
-@lru_cache(maxsize=8)
-def _open_reader(path: Path, *_identity: int) -> SeekingReader:
-    """A reader whose index is kept; inode and time tell a rewritten file, pid a forked process."""
+@lru_cache(maxsize=64)
+def _open_reader(path: Path, *_identity: object) -> SeekingReader:
+    """A reader whose index is kept; inode and time tell a rewritten file.
+
+    A reader has one position in its file, so every process and thread has its own.
+    """
     return SeekingReader(path.open("rb"), validate_crcs=True)
 
 

@@ -31,6 +31,29 @@ def column_order(points: NDArray[np.float64], side_m: float) -> tuple[I64, I64, 
     low = index.min(axis=0)
     cells = index.max(axis=0) - low + 1
     key = (index[:, 0] - low[0]) * cells[1] + index[:, 1] - low[1]
-    order = np.lexsort((points[:, 1], points[:, 0], points[:, 2], key))
+    order = _by_key_and_height(key, points)
     keys, first = np.unique(key[order], return_index=True)
     return order, first.astype(np.int64), keys, low, cells
+
+
+def _by_key_and_height(key: I64, points: NDArray[np.float64]) -> I64:
+    """Rows by key, then z, x and y.
+
+    Sorting one integer for key and height is several times as fast as a sort by four columns;
+    only rows that agree in it need the other columns.
+    """
+    if key.max(initial=0) >= 1 << 31:
+        return np.lexsort((points[:, 1], points[:, 0], points[:, 2], key))
+    # bits of a float32 as an integer of the same order: those of negative numbers are flipped
+    bits = np.ascontiguousarray(points[:, 2], dtype=np.float32).view(np.int32).astype(np.int64)
+    height = np.where(bits < 0, ~bits & 0xFFFFFFFF, bits | 0x80000000)
+    code = (key << 32) | height
+    order = np.argsort(code, kind="stable")
+    code = code[order]
+    same = np.zeros(len(order) + 1, bool)
+    same[1:-1] = code[1:] == code[:-1]
+    tied = np.flatnonzero(same[1:] | same[:-1])
+    rows = order[tied]
+    ties = np.lexsort((points[rows, 1], points[rows, 0], points[rows, 2], code[tied]))
+    order[tied] = rows[ties]
+    return order

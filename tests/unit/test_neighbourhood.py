@@ -51,7 +51,9 @@ def test_a_box_holds_the_same_points_whatever_the_tiles_are(seed: int, tiles: in
 def test_surroundings_hold_every_neighbour_of_every_point(seed: int, tile: int) -> None:
     xyz, turned = cloud(seed), upright(seed)
     world = tiled(xyz, 6, turned)
-    around = as_set(world.around(tile, radius_m=1.5, below_m=1.0))
+    points, own = world.around(tile, radius_m=1.5, below_m=1.0)
+    np.testing.assert_array_equal(points[own], world.points(tile))
+    around = as_set(points)
     everything = to_world(turned, xyz)
     for point in world.points(tile):
         apart = everything - point
