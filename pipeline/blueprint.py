@@ -18,7 +18,8 @@ from spinpipe.schemas.records import F64, ObjectModel, TileIndex
 Overrides = dict[rr.encodings.EntityPathLike, rr.Points3D | rr.Boxes3D]
 
 _STEPS_SHOWN = 40
-_FILL = 0.6
+_FILL, _LARGEST = 0.6, 0.015
+"""Radius of a point close by, as a share of the spacing and at most of the object."""
 _FAR_RADIUS = -1.5
 """Negative: on the screen. Radii in metres shrink below a pixel from afar and lose colour."""
 _DOWN_DEG = 42.0
@@ -41,7 +42,8 @@ def build_blueprint(read: Reader, preview_points: int, timeline: str = "stage") 
     # distance between neighbours, if the points lay on a flat square
     shown = max(min(int(tiles.counts.sum()), preview_points), 1)
     spacing = float(np.sqrt(np.ptp(corners, axis=0)[:2].prod() / shown))
-    far, near = (rr.Points3D.from_fields(radii=r) for r in (_FAR_RADIUS, _FILL * spacing))
+    near_radius = min(_FILL * spacing, _LARGEST * _diagonal(models))
+    far, near = (rr.Points3D.from_fields(radii=r) for r in (_FAR_RADIUS, near_radius))
     marks = ["+ /cluster/**", "+ /verify/**", "- /verify/fit/**"]
     return rrb.Blueprint(
         rrb.Horizontal(
@@ -203,13 +205,17 @@ def _scene_eye(corners: F64) -> rrb.EyeControls3D:
     return rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0.0, 0.0, 1.0))
 
 
+def _diagonal(models: Sequence[ObjectModel], extra: float = 0.0) -> float:
+    """Diagonal of a box that holds any of the models, metres; ``extra`` makes it wider."""
+    sizes = np.array([np.ptp(model_bounds(model), axis=0) for model in models]).reshape(-1, 3)
+    return max(float(np.linalg.norm(sizes.max(axis=0, initial=0) + (0.0, extra, 0.0))), 1e-3)
+
+
 def _object_eye(models: Sequence[ObjectModel], places: F64) -> rrb.EyeControls3D:
     """Look at models that stand at ``places`` along y from ahead, aside and above."""
-    sizes = np.array([np.ptp(model_bounds(model), axis=0) for model in models]).reshape(-1, 3)
-    box = sizes.max(axis=0, initial=0) + (0.0, np.ptp(places), 0.0)
-    size = max(float(np.linalg.norm(box)), 1e-3)
+    size = _diagonal(models, float(np.ptp(places)))
     return rrb.EyeControls3D(
         position=(0.7 * size, -0.95 * size, 0.8 * size),
-        look_target=(0.0, 0.0, box[2] / 2),
+        look_target=(0.0, 0.0, 0.12 * size),
         eye_up=(0.0, 0.0, 1.0),
     )
