@@ -197,11 +197,15 @@ class OriginBlocks:
 
 
 def map_threads(function: Callable[[T], R], items: Iterable[T], threads: int) -> Iterator[R]:
-    """Yield ``function`` of every item, in order, by threads; few items wait at a time."""
+    """Yield ``function`` of every item, in order, by threads; few items wait at a time.
+
+    Whoever stops early, by Ctrl-C say, waits only for the items under way.
+    """
     if threads <= 1:
         yield from map(function, items)
         return
-    with ThreadPoolExecutor(threads) as pool:
+    pool = ThreadPoolExecutor(threads)
+    try:
         waiting: deque[Future[R]] = deque()
         for item in items:
             waiting.append(pool.submit(function, item))
@@ -209,6 +213,8 @@ def map_threads(function: Callable[[T], R], items: Iterable[T], threads: int) ->
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _arrays(index: SpinIndex) -> IndexArrays:
