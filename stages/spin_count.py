@@ -285,6 +285,8 @@ def gather(index, box, radius_sq, height, origins):
 @inner
 def depth_window(near, low, high, height):
     """Find the gathered points that hold all an origin between ``low`` and ``high`` can see."""
+    if near.per_m == 0:  # not ordered
+        return near.first[0], near.first[BUCKETS]
     last = np.float32(BUCKETS - 1)
     begin = np.int64(min((near.top - high) * near.per_m, last))
     end = np.int64(min((near.top - low + height) * near.per_m, last)) + 2  # one for rounding
