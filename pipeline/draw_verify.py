@@ -151,7 +151,7 @@ def _draw_ledger(rec: rr.RecordingStream, detections: Sequence[Detection]) -> No
     rec.send_columns(
         "verify/ledger",
         indexes=[rr.TimeColumn("candidate", sequence=[d.cluster for d in detections])],
-        columns=rr.AnyValues.columns(True, **columns),  # pyright: ignore[reportUnknownMemberType]
+        columns=rr.AnyValues.columns(True, **columns),
     )
 
 

@@ -20,7 +20,7 @@ def _cloud(frame: str, rows: np.ndarray, fields: tuple[tuple[str, int, int], ...
     message = PointCloud(frame_id=frame, point_stride=rows.dtype.itemsize, data=rows.tobytes())
     message.pose.orientation.w = 1.0  # a pose must be complete or unset
     for name, offset, kind in fields:
-        message.fields.add(name=name, offset=offset, type=kind)  # type: ignore[arg-type]
+        message.fields.add(name=name, offset=offset, type=kind)
     return message
 
 

@@ -23,8 +23,8 @@ from spinpipe.stages.spin_image import FLAT_VARIANCE
 inner = njit(
     nogil=True,
     error_model="numpy",
-    no_cpython_wrapper=True,  # pyright: ignore[reportCallIssue]
-    no_cfunc_wrapper=True,  # pyright: ignore[reportCallIssue]
+    no_cpython_wrapper=True,
+    no_cfunc_wrapper=True,
 )
 """Compiles what only other kernels call; ``spin_scan`` caches the outermost ones."""
 

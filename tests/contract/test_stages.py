@@ -201,7 +201,7 @@ def test_undeclared_topics_are_refused(
         engine=LocalEngine(1),
         memory_bytes=1 << 30,
         scratch=tmp_path,
-        progress=None,  # pyright: ignore[reportArgumentType]
+        progress=None,
     )
     for topic in TOPICS:
         if topic not in stage.inputs:
