@@ -30,6 +30,7 @@ class Curve:
     """One line of a chart."""
 
     name: str
+    """Empty: not in the legend."""
     x: Sequence[float]
     y: Sequence[float]
     colour: int = 0
@@ -151,7 +152,7 @@ class _Sheet:
     def _legend(self) -> None:
         """Names in a row above the curves, where they hide nothing."""
         x, y = float(WIDTH - RIGHT), TOP - 22.0
-        for curve in reversed(self._chart.curves):
+        for curve in reversed([c for c in self._chart.curves if c.name]):
             x -= self._font.getlength(curve.name)
             self._draw.text((x, y), curve.name, INK, self._font, anchor="lm")
             colour = COLOURS[curve.colour % len(COLOURS)]

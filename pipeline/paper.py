@@ -235,13 +235,14 @@ def _residual_section(measured: Sequence[Residuals], where: str, output: Path) -
         curve
         for colour, r in enumerate(measured)
         for curve in (
-            _ranked(f"{r.samples}", r.right_m, 0, colour, dashed=False),
-            _ranked(f"{r.samples} wrong", r.wrong_m, len(r.right_m), colour, dashed=True),
+            _ranked(f"n = {r.samples}", r.right_m, colour, dashed=False),
+            _ranked("", r.wrong_m, colour, dashed=True),
         )
         if curve.x
     ]
     if curves:
-        chart = Chart("Residuals, right then wrong", "candidate", "RMS, mm", curves)
+        title = "Residuals of the right candidates (filled) and of the wrong ones (hollow)"
+        chart = Chart(title, "rank", "RMS, mm", curves)
         draw_chart(chart, output / "paper_residuals.png")
     return Section(
         title="3.4 Residuals",
@@ -258,8 +259,8 @@ def _residual_section(measured: Sequence[Residuals], where: str, output: Path) -
     )
 
 
-def _ranked(name: str, rms_m: np.ndarray, first: int, colour: int, *, dashed: bool) -> Curve:
-    places = [float(first + i + 1) for i in range(len(rms_m))]
+def _ranked(name: str, rms_m: np.ndarray, colour: int, *, dashed: bool) -> Curve:
+    places = [i + 1.0 for i in range(len(rms_m))]
     return Curve(name, places, [1000.0 * v for v in rms_m.tolist()], colour, dashed)
 
 
