@@ -12,6 +12,7 @@ import rerun.blueprint as rrb
 from spinpipe.pipeline import palette
 from spinpipe.pipeline.draw_model import model_bounds, model_path, places_in_row
 from spinpipe.pipeline.drawing import CANDIDATE, NOTES, WORLD, Reader
+from spinpipe.pipeline.preview import piece_count
 from spinpipe.schemas import MODELS, TILES, UPRIGHT
 from spinpipe.schemas.records import F64, ObjectModel, TileIndex
 
@@ -67,7 +68,7 @@ def build_blueprint(read: Reader, preview_points: int, timeline: str = "stage") 
                     WORLD,
                     scene_eye,
                     far,
-                    overrides=_faded(len(tiles.counts)),
+                    overrides=_faded(piece_count(len(tiles.counts))),
                 ),
             ),
             rrb.Vertical(
@@ -126,11 +127,11 @@ def _view_3d(
     )
 
 
-def _faded(tiles: int) -> Overrides:
+def _faded(pieces: int) -> Overrides:
     """Cloud in one dark grey behind the origins that were scored, and boxes without labels."""
     cloud = rr.Points3D.from_fields(colors=palette.SHADOW, radii=_FAR_RADIUS / 2)
     boxes = rr.Boxes3D.from_fields(show_labels=False)
-    faded: Overrides = {f"ingest/cloud/{i:04d}": cloud for i in range(tiles)}
+    faded: Overrides = {f"ingest/cloud/{i:04d}": cloud for i in range(pieces)}
     faded |= {"verify/accepted": boxes, "verify/ambiguous": boxes}
     return faded
 

@@ -16,7 +16,7 @@ from spinpipe.pipeline.draw_model import (
     places_in_row,
 )
 from spinpipe.pipeline.drawing import CANDIDATE, LOCAL, WORLD, Reader, at_stage, note, put
-from spinpipe.pipeline.preview import preview_rows
+from spinpipe.pipeline.preview import preview
 from spinpipe.schemas import CAMERAS, CLOUD, MODELS, SCENE, TILES
 from spinpipe.schemas.records import F32, Cameras, ObjectModel, SceneFrame, TileIndex
 
@@ -43,13 +43,13 @@ def _draw_cloud(
     tiles: TileIndex,
 ) -> None:
     # radii are left to the views: fixed on the screen from afar, in metres close by
-    rows_of_tiles = preview_rows(tiles.counts.tolist(), preview_points)
-    for number, (tile, rows) in enumerate(zip(read(CLOUD), rows_of_tiles, strict=True)):
-        xyz, colors = tile.xyz[rows], tile.rgb[rows]
+    clouds = ((tile.xyz, tile.rgb) for tile in read(CLOUD))
+    for piece in preview(clouds, tiles.counts.tolist(), preview_points):
+        colors = piece.rgb
         if not scene.coloured:
-            colors = palette.shade(xyz[:, 2], tiles.low[:, 2].min(), tiles.high[:, 2].max())
-        path = f"ingest/cloud/{number:04d}"
-        put(rec, path, rr.Points3D(xyz, colors=colors), LOCAL, static=True)
+            colors = palette.shade(piece.xyz[:, 2], tiles.low[:, 2].min(), tiles.high[:, 2].max())
+        shape = rr.Points3D(piece.xyz, colors=colors)
+        put(rec, f"ingest/cloud/{piece.number:04d}", shape, LOCAL, static=True)
 
 
 def _draw_models(rec: rr.RecordingStream, models: Sequence[ObjectModel]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import rerun as rr
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from spinpipe.pipeline import palette
 from spinpipe.pipeline.draw_model import model_path
 from spinpipe.pipeline.drawing import WORLD, Reader, at_stage, at_stages, note, put
-from spinpipe.pipeline.preview import preview_rows
+from spinpipe.pipeline.preview import preview, preview_rows
 from spinpipe.schemas import HITS, SCORES, SPIN_IMAGES
-from spinpipe.schemas.records import Hits, ScoreTile, SpinImage
+from spinpipe.schemas.records import F32, U8, Hits, ScoreTile, SpinImage
 
 _BINS = np.linspace(-1, 1, 101)
 
@@ -24,13 +24,10 @@ def draw_scan(read: Reader, rec: rr.RecordingStream, preview_points: int) -> Non
     # two passes over the file keep one tile in memory at a time
     counts = [len(tile.points) for tile in scores]
     histogram: dict[str, NDArray[np.int64]] = {}
-    for number, (tile, rows) in enumerate(
-        zip(scores, preview_rows(counts, preview_points), strict=True)
-    ):
-        at_stage(rec, "scan", tile=number)
-        shape = rr.Points3D(tile.points[rows], colors=tile.rgb[rows])
-        put(rec, f"scan/correlation/{number:04d}", shape, WORLD)
-        _count(tile, histogram)
+    for piece in preview(_counted(scores, histogram), counts, preview_points):
+        at_stage(rec, "scan", tile=piece.last_tile)
+        shape = rr.Points3D(piece.xyz, colors=piece.rgb)
+        put(rec, f"scan/correlation/{piece.number:04d}", shape, WORLD)
     at_stage(rec, "scan")
     hits, images = read(HITS), read(SPIN_IMAGES)
     for model, bars in histogram.items():
@@ -46,10 +43,15 @@ def draw_scan(read: Reader, rec: rr.RecordingStream, preview_points: int) -> Non
         _draw_hits(rec, group, preview_points)
 
 
-def _count(tile: ScoreTile, histogram: dict[str, NDArray[np.int64]]) -> None:
-    for column, model in enumerate(tile.models):
-        counts, _ = np.histogram(tile.correlation[:, column], _BINS)
-        histogram[model] = histogram.get(model, np.zeros(len(counts), np.int64)) + counts
+def _counted(
+    scores: Sequence[ScoreTile], histogram: dict[str, NDArray[np.int64]]
+) -> Iterator[tuple[F32, U8]]:
+    """Points and colours of every tile; on the way its correlations are added to the histogram."""
+    for tile in scores:
+        for column, model in enumerate(tile.models):
+            counts, _ = np.histogram(tile.correlation[:, column], _BINS)
+            histogram[model] = histogram.get(model, np.zeros(len(counts), np.int64)) + counts
+        yield tile.points, tile.rgb
 
 
 def _draw_histogram(

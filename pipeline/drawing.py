@@ -88,8 +88,11 @@ def put(
     rec: rr.RecordingStream, path: str, shape: rr.AsComponents, frame: str, static: bool = False
 ) -> None:
     """Log a shape whose coordinates are in ``frame``, now or for all times."""
-    place(rec, path, frame)
-    rec.log(path, shape, static=static)
+    if static:
+        rec.log(path, rr.CoordinateFrame(frame), shape, static=True)
+    else:
+        place(rec, path, frame)
+        rec.log(path, shape)
 
 
 def note(rec: rr.RecordingStream, markdown: str) -> None:

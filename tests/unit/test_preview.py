@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spinpipe.pipeline.preview import preview_rows
+from spinpipe.pipeline.preview import piece_count, preview, preview_rows
 
 
 @given(
@@ -25,3 +25,15 @@ def test_preview_is_exact_and_even(counts: list[int], limit: int) -> None:
         gaps = np.diff(shown)
         assert gaps.min() >= 1
         assert gaps.max() - gaps.min() <= 1
+
+
+@given(st.integers(0, 1500), st.integers(1, 2000))
+def test_many_tiles_become_few_pieces(tiles: int, limit: int) -> None:
+    clouds = [(np.full((2, 3), i, np.float32), np.zeros((2, 3), np.uint8)) for i in range(tiles)]
+    pieces = list(preview(clouds, [2] * tiles, limit))
+    assert [piece.number for piece in pieces] == list(range(piece_count(tiles)))
+    assert len(pieces) == (tiles if tiles <= 256 else min(256, len(pieces)))
+    shown = np.concatenate([np.zeros((0, 3)), *(piece.xyz for piece in pieces)])[:, 0]
+    assert len(shown) == min(limit, 2 * tiles)
+    assert (np.diff(shown) >= 0).all()
+    assert not pieces or pieces[-1].last_tile == tiles - 1
