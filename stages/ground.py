@@ -41,8 +41,6 @@ FLOOR_DISTANCE = 1e-3
 """Smallest inlier distance, in voxels of the sample: noiseless planes have float32 noise."""
 WIDEST_DISTANCE = 0.02
 """Largest inlier distance that is tried when none is stated, as a share of the extent."""
-
-
 SAMPLING_POINTS = 2_000_000
 """Points that density and noise are measured from."""
 
@@ -51,7 +49,7 @@ class Ground:
     """Estimate the ground plane and the rotation that turns the scene upright."""
 
     name = "ground"
-    version = 1
+    version = 2
     inputs = (CLOUD, TILES, CAMERAS)
     outputs = (PLANE, UPRIGHT, SAMPLING)
 
@@ -68,7 +66,7 @@ class Ground:
             0.1, gt=0, lt=1, description="smallest share of the surface that a plane may hold"
         )
         min_margin: float = Field(
-            1.5, gt=1, description="how much better the evidence for up must be than for its rival"
+            2.5, gt=1, description="how much better the evidence for up must be than for its rival"
         )
         confidence: float = Field(
             0.999, gt=0, lt=1, description="probability that RANSAC draws three inliers"

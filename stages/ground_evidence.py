@@ -106,8 +106,8 @@ class Terrain:
     """Heights within this are the ground's own roughness."""
     inside: Bool
     """(N,) points over the outline of the ground."""
-    steep: Bool
-    """(N,) points whose surface is not parallel to the ground."""
+    steepness: F64
+    """(N,) squared sine of the surface's angle with the ground: 0 parallel, 1 upright."""
     touching: Bool
     """(N,) points next to the ground."""
 
@@ -130,7 +130,8 @@ def grow_terrain(surface: Surface, plane: FittedPlane) -> Terrain:
     """
     from_plane = plane.heights(surface.points)
     inliers = np.abs(from_plane) < plane.inlier_distance
-    gentle = np.abs(surface.normals @ plane.normal) > np.cos(np.radians(SLOPE_DEG))
+    parallel = np.abs(surface.normals @ plane.normal)
+    gentle = parallel > np.cos(np.radians(SLOPE_DEG))
     labels = surface.groups(gentle)
     hit = inliers[gentle]
     sizes = np.bincount(labels, minlength=1)
@@ -152,9 +153,29 @@ def grow_terrain(surface: Surface, plane: FittedPlane) -> Terrain:
         heights,
         band,
         inside=_over_outline(surface, members, flat, band),
-        steep=~gentle,
+        steepness=1 - parallel**2,
         touching=gap < band + REACH * surface.voxel,
     )
+
+
+def distinct_terrains(surface: Surface, planes: list[FittedPlane]) -> list[Terrain]:
+    """Grow every plane into ground and keep one plane, the largest, of each ground.
+
+    Facets of a hill, or the tops of things where noise joins them to the ground, grow into the
+    ground that another plane fits better.
+    """
+
+    def inliers(plane: FittedPlane) -> int:
+        return int(np.count_nonzero(np.abs(plane.heights(surface.points)) < plane.inlier_distance))
+
+    kept: list[Terrain] = []
+    for plane in sorted(planes, key=inliers, reverse=True):
+        terrain = grow_terrain(surface, plane)
+        size = np.count_nonzero(terrain.members)
+        shared = [np.count_nonzero(terrain.members & other.members) for other in kept]
+        if size > 0 and max(shared, default=0) <= 0.5 * size:
+            kept.append(terrain)
+    return kept
 
 
 def _over_outline(surface: Surface, members: Bool, flat: F64, band: float) -> Bool:
@@ -176,8 +197,8 @@ def scene_evidence(surface: Surface, terrains: list[Terrain]) -> list[dict[str, 
 
     - ``points above``: what lies over the ground's outline is above the ground, not below it.
     - ``points over``: what lies above the ground stands over its outline, not beside it.
-    - ``points standing``: the clutter that belongs to no plane stands on the ground, with sides
-      (another level of the ground has none).
+    - ``points standing``: the clutter that belongs to no plane stands on the ground, with upright
+      sides (another level of the ground has none).
 
     Parameters
     ----------
@@ -201,10 +222,7 @@ def scene_evidence(surface: Surface, terrains: list[Terrain]) -> list[dict[str, 
         beside = np.count_nonzero(above & ~inside)
         standing = 0.0
         if len(labels):
-            touches = np.bincount(labels, weights=terrain.touching[clutter])[labels] > 0
-            sides = np.sign(terrain.heights[clutter]) * terrain.steep[clutter]
-            total = np.count_nonzero(terrain.steep[clutter])
-            standing = float(sides[touches].sum()) / (total + terrain.few)
+            standing = _standing(terrain, clutter, labels)
         evidence = {
             "points above": _vote(over, under, terrain.few),
             "points over": _vote(over, beside, terrain.few),
@@ -212,6 +230,21 @@ def scene_evidence(surface: Surface, terrains: list[Terrain]) -> list[dict[str, 
         }
         result.append(evidence)
     return result
+
+
+def _standing(terrain: Terrain, clutter: Bool, labels: I32) -> float:
+    """Let the groups of clutter vote for the side of the ground they stand on, or against it.
+
+    Things do not float: a group that does not touch the ground votes against it. Each counts by
+    the root of its upright area, so that many things outvote one large ditch or bank.
+    """
+    upright = terrain.steepness[clutter]
+    areas = np.bincount(labels, weights=upright)
+    sides = np.bincount(labels, weights=upright * np.sign(terrain.heights[clutter]))
+    touching = np.bincount(labels, weights=terrain.touching[clutter]) > 0
+    roots = np.sqrt(np.maximum(areas, np.finfo(float).tiny))
+    votes = np.where(touching, sides / roots, -roots)
+    return float(votes.sum() / (roots.sum() + np.sqrt(terrain.few)))
 
 
 def camera_up(rotations: F64) -> F64 | None:

@@ -11,7 +11,7 @@ from spinpipe.stages.ground_evidence import (
     Surface,
     Terrain,
     camera_evidence,
-    grow_terrain,
+    distinct_terrains,
     scene_evidence,
 )
 from spinpipe.stages.plane import FittedPlane
@@ -56,7 +56,7 @@ class Hypothesis:
 def rank(
     surface: Surface, planes: list[FittedPlane], cameras: tuple[F64, F64] | None
 ) -> list[Hypothesis]:
-    """Every plane with either side up, best first.
+    """Try every plane with either side up, best first.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def rank(
         Positions (C, 3) and rotations (C, 3, 3) of the cameras, in the frame of the points.
     """
     hypotheses: list[Hypothesis] = []
-    terrains = [grow_terrain(surface, plane) for plane in planes]
+    terrains = distinct_terrains(surface, planes)
     areas = [np.count_nonzero(terrain.members) for terrain in terrains]
     for signed in (terrains, [terrain.flipped() for terrain in terrains]):
         found = scene_evidence(surface, signed)

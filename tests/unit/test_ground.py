@@ -1,5 +1,7 @@
 """The ground stage on scenes whose up is known: made ones, turned ones, real ones."""
 
+import contextlib
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -174,6 +176,32 @@ def test_facades_larger_than_the_ground():
     things = [box(rng, x, 2, 4.2, 1.8, 1.4) for x in (3, 9, 15, 21, 27, 33)]
     posts = [box(rng, x, 6, 0.2, 0.2, 4) for x in (1, 8, 20, 38)]
     assert angle_deg(up_of(np.concatenate([street, facade, *things, *posts])), UP) < 0.2
+
+
+def test_a_ditch_deeper_than_the_cars_does_not_turn_the_scene_over():
+    scene = car_park(np.random.default_rng(16), cars=6, size=40.0)
+    ditch = np.clip(1 - abs(scene[:, 1] - 10) / 3, 0, None)
+    scene[:, 2] -= 2 * ditch * (scene[:, 2] == 0)
+    with contextlib.suppress(StageError):  # it need not be decided
+        assert angle_deg(up_of(scene), UP) < 0.2
+
+
+def test_things_on_a_table_above_a_floor():
+    rng = np.random.default_rng(17)
+    floor = rectangle(rng, (-1, -1, 0), (3, 0, 0), (0, 2.5, 0), density=4000)
+    top = rectangle(rng, (0, 0, 0.75), (1.2, 0, 0), (0, 0.8, 0), density=10_000)
+    tins = [box(rng, x, y, 0.1, 0.1, 0.15, 10_000) for x in (0.1, 0.5, 0.9) for y in (0.1, 0.6)]
+    scene = np.concatenate([floor, top, *(tin + (0, 0, 0.75) for tin in tins)])
+    assert angle_deg(up_of(scene), UP) < 0.2
+
+
+def test_an_empty_room_is_undecided():
+    rng = np.random.default_rng(18)
+    o, a, b, c = np.array([[0, 0, 0], [5, 0, 0], [0, 4, 0], [0, 0, 3]])
+    faces = [(o, a, b), (o + c, a, b), (o, a, c), (o + b, a, c), (o, b, c), (o + a, b, c)]
+    room = np.concatenate([rectangle(rng, *face, density=200) for face in faces])
+    with pytest.raises(StageError, match="cannot tell which way is up"):
+        ground_of(room)
 
 
 def test_up_follows_the_scene_not_the_axes():
