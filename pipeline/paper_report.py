@@ -46,10 +46,14 @@ def markdown(title: str, intro: str, sections: Sequence[Section]) -> str:
     for s in sections:
         lines = [_row(s.header), _row(["---", *["---:"] * (len(s.header) - 1)])]
         lines += [_row(row) for row in s.rows]
-        parts += [f"## {s.title}", f"**Paper.** {s.paper}", f"**Here.** {s.here}"]
+        parts += [f"## {s.title}", f"**Paper.** {_begun(s.paper)}", f"**Here.** {_begun(s.here)}"]
         parts += ["\n".join(lines)]
         parts += [f"![{caption}]({name})" for name, caption in s.figures]
     return "\n\n".join(parts) + "\n"
+
+
+def _begun(sentence: str) -> str:
+    return sentence[:1].upper() + sentence[1:]
 
 
 def _row(cells: Sequence[str]) -> str:
