@@ -133,8 +133,8 @@ class Hypotheses:
     def none() -> Hypotheses:
         """No hypothesis."""
         rows = np.empty(0, np.int64)
-        columns = (np.empty((0, n)) for n in (POSE, len(PARTS), len(EVIDENCE)))
-        return Hypotheses(rows, rows, *columns, np.empty(0))
+        pose, parts, evidence = (np.empty((0, n)) for n in (POSE, len(PARTS), len(EVIDENCE)))
+        return Hypotheses(rows, rows, pose, parts, evidence, np.empty(0))
 
     @staticmethod
     def joined(tables: Sequence[Hypotheses]) -> Hypotheses:
