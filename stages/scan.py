@@ -7,8 +7,6 @@ model's topmost point about the vertical; scene points whose own image correlate
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -24,7 +22,6 @@ from spinpipe.schemas import (
     TILES,
     UPRIGHT,
 )
-from spinpipe.schemas.colormap import viridis
 from spinpipe.schemas.records import F32, F64, Hits, ObjectModel, ScoreTile, SpinImage
 from spinpipe.stages.model_heights import HeightBands
 from spinpipe.stages.neighbourhood import WorldCloud
@@ -35,9 +32,8 @@ from spinpipe.stages.spin_image import (
     template_from_cloud,
     topmost_point,
 )
-from spinpipe.stages.spin_kernel import build_index, correlate
 from spinpipe.stages.stage import Context, Section
-from spinpipe.stages.voxels import voxel_representatives
+from spinpipe.stages.tile_scan import Origins, TileScan
 
 RADIUS_HALF_WIDTHS = 1.45
 HEIGHT_SHARE = 0.7
@@ -79,8 +75,10 @@ class Scan:
             description="model: only origins as high above the local ground as the top of a model "
             "that stands there; any: every height, as in the paper",
         )
-        origins: Literal["all", "voxel"] = Field(
-            "all", description="every point, or one in each voxel of side bin_m"
+        origins: Origins = Field(
+            "all",
+            description="all: every point; voxel: one in each voxel of side bin_m first, then "
+            "every point near promising ones; subset: only one in each voxel",
         )
         search: Literal["exhaustive", "pruned"] = Field(
             "exhaustive",
@@ -94,17 +92,20 @@ class Scan:
         grid = spin_grid(models, ctx.config)
         templates = [template_from_cloud(model.points, grid) for model in models]
         cloud = WorldCloud.of(ctx.read(CLOUD), ctx.read_one(TILES), ctx.read_one(UPRIGHT))
-        sampling = ctx.read_one(SAMPLING)
-        task = _TileTask(
+        bands = None
+        if ctx.config.heights == "model":
+            bands = HeightBands.of(models, ctx.read_one(SAMPLING))
+        scan = TileScan(
             cloud=cloud,
             models=tuple(model.name for model in models),
             templates=tuple(templates),
-            bands=HeightBands.of(models, sampling) if ctx.config.heights == "model" else None,
-            voxels=ctx.config.origins == "voxel",
-            min_correlation=(ctx.config.min_correlation if ctx.config.search == "pruned" else None),
+            bands=bands,
+            origins=ctx.config.origins,
+            min_correlation=ctx.config.min_correlation,
+            exhaustive=ctx.config.search == "exhaustive",
             threads=ctx.threads,
         )
-        hits = _HitList(task.models, ctx.config.min_correlation)
+        hits = _HitList(scan.models, ctx.config.min_correlation)
         progress = ctx.progress("tiles", len(cloud))
         done = 0
         for scores in ctx.recovered(SCORES):
@@ -113,7 +114,7 @@ class Scan:
             progress.advance()
         if done:
             ctx.log(f"went on from tile {done} of {len(cloud)}")
-        for scores in ctx.map(partial(_score_tile, task), range(done, len(cloud))):
+        for scores in ctx.map(scan, range(done, len(cloud))):
             ctx.write(SCORES, scores)
             hits.add(scores)
             progress.advance()
@@ -126,46 +127,6 @@ class Scan:
         for model_hits in found:
             ctx.write(HITS, model_hits)
             ctx.log(f"{len(model_hits.points)} hits of {model_hits.model}")
-
-
-@dataclass(frozen=True)
-class _TileTask:
-    """What a worker needs to score any tile; can be pickled."""
-
-    cloud: WorldCloud
-    models: tuple[str, ...]
-    templates: tuple[SpinTemplate, ...]
-    bands: HeightBands | None
-    voxels: bool
-    min_correlation: float | None
-    """None: exhaustive."""
-    threads: int
-
-
-def _score_tile(task: _TileTask, tile: int) -> ScoreTile:
-    """Correlation of every origin of one tile with every template; if pruned, of hits."""
-    grids = [t.grid for t in task.templates]
-    radius_m, height_m = max(g.radius_m for g in grids), max(g.height_m for g in grids)
-    side_m = min(g.bin_m for g in grids)
-    if task.bands:
-        radius_m, height_m = max(radius_m, task.bands.halo_m), np.inf
-    around, own = task.cloud.around(tile, radius_m, height_m, side_m if task.voxels else 0.0)
-    chosen = own & task.bands.select(around) if task.bands else own
-    origins = around[chosen]
-    if task.voxels:
-        origins = origins[voxel_representatives(origins, around, side_m)]
-    correlation = correlate(
-        build_index(around),
-        origins,
-        task.templates,
-        task.threads,
-        min_correlation=task.min_correlation,
-    ).T
-    best = correlation.max(axis=1, initial=-1.0)
-    if task.min_correlation is not None:
-        hit = best >= np.float32(task.min_correlation)
-        origins, correlation, best = origins[hit], correlation[hit], best[hit]
-    return ScoreTile(task.models, origins, np.ascontiguousarray(correlation), viridis(best))
 
 
 def spin_grid(models: Sequence[ObjectModel], config: Scan.Config) -> SpinGrid:
