@@ -23,7 +23,7 @@ from spinpipe.pipeline.drawing import (
 from spinpipe.schemas import CLUSTERS, MODELS
 from spinpipe.schemas.records import Cluster
 
-_LABELLED = 40
+_LABELLED = 12
 _NOTED = 40
 
 
