@@ -141,17 +141,17 @@ def _estimate(ctx: Context[Ground.Config], points: F64, local: LocalPlanes, voxe
     config = ctx.config
     distance = inlier_distance(config, local, voxel)
     planes = find_planes(config, points, local.normals, distance, ctx.rng)
-    if not planes:
-        raise StageError(
-            f"ground: no plane holds {config.min_inlier_share:.0%} of the surface; set"
-            " ground.up = [x, y, z], or raise ground.inlier_distance_m"
-        )
     cameras = None
     for message in ctx.read(CAMERAS):
         rotations = Rotation.from_quat(message.quaternions_xyzw).as_matrix()
         cameras = (message.positions, rotations)
     surface = solid_surface(points, local.normals, voxel)
     hypotheses = rank(surface, planes, cameras)
+    if not hypotheses:
+        raise StageError(
+            f"ground: no plane holds {config.min_inlier_share:.0%} of the surface; set"
+            " ground.up = [x, y, z], or raise ground.inlier_distance_m"
+        )
     best, rival = hypotheses[0], best_rival(hypotheses)
     vertical = None if cameras is None else camera_up(cameras[1])
     if vertical is not None and best.evidence["cameras level"] < 0:
@@ -191,11 +191,12 @@ def _stated(ctx: Context[Ground.Config], points: F64, local: LocalPlanes, voxel:
     distance = inlier_distance(ctx.config, local, voxel)
     planes = find_planes(ctx.config, points, local.normals, distance, ctx.rng)
     lying = [plane for plane in planes if abs(plane.normal @ up) > np.cos(np.radians(SLOPE_DEG))]
-    if lying:
-        surface = solid_surface(points, local.normals, voxel)
-        best = next(h for h in rank(surface, lying, None) if h.up @ up > 0)
-        level = float(np.median(surface.points[best.terrain.members] @ up))
-        distance = best.terrain.plane.inlier_distance
+    surface = solid_surface(points, local.normals, voxel)
+    hypotheses = [h for h in rank(surface, lying, None) if h.up @ up > 0]
+    if hypotheses:
+        ground = hypotheses[0].terrain
+        level = float(np.median(surface.points[ground.members] @ up))
+        distance = ground.plane.inlier_distance
     else:
         level = lowest_level(points, up, voxel, distance)
     return to_record(FittedPlane(up, -level, distance), points, "config", {})

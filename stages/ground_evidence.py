@@ -101,7 +101,7 @@ class Terrain:
     members: Bool
     """(N,) points of the surface that are ground."""
     heights: F64
-    """(N,) above the ground nearby."""
+    """(N,) above the ground nearby; the ground itself is at 0."""
     band: float
     """Heights within this are the ground's own roughness."""
     inside: Bool
@@ -143,10 +143,12 @@ def grow_terrain(surface: Surface, plane: FittedPlane) -> Terrain:
     flat = surface.points @ axes.T
     about = min(ABOUT, np.count_nonzero(members))
     ranks: Any = [*range(1, about + 1)]  # a list: with an axis of neighbours even for one
-    _, below = KDTree(flat[members]).query(flat, k=ranks)
-    gap, _ = KDTree(surface.points[members]).query(surface.points)
-    heights = from_plane - np.median(from_plane[members][below], axis=1)
+    _, below = KDTree(flat[members]).query(flat[~members], k=ranks)
+    heights = np.zeros(len(members))
+    heights[~members] = from_plane[~members] - np.median(from_plane[members][below], axis=1)
     band = max(BAND * plane.inlier_distance, surface.voxel)
+    near = band + REACH * surface.voxel
+    gap, _ = KDTree(surface.points[members]).query(surface.points, distance_upper_bound=near)
     return Terrain(
         plane,
         members,
@@ -154,7 +156,7 @@ def grow_terrain(surface: Surface, plane: FittedPlane) -> Terrain:
         band,
         inside=_over_outline(surface, members, flat, band),
         steepness=1 - parallel**2,
-        touching=gap < band + REACH * surface.voxel,
+        touching=gap < near,
     )
 
 
@@ -170,10 +172,12 @@ def distinct_terrains(surface: Surface, planes: list[FittedPlane]) -> list[Terra
 
     kept: list[Terrain] = []
     for plane in sorted(planes, key=inliers, reverse=True):
+        if inliers(plane) == 0:
+            continue
         terrain = grow_terrain(surface, plane)
         size = np.count_nonzero(terrain.members)
         shared = [np.count_nonzero(terrain.members & other.members) for other in kept]
-        if size > 0 and max(shared, default=0) <= 0.5 * size:
+        if max(shared, default=0) <= 0.5 * size:
             kept.append(terrain)
     return kept
 

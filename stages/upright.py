@@ -63,7 +63,7 @@ def rank(
     surface
         The scene.
     planes
-        Its distinct planes, at least one.
+        Its planes.
     cameras
         Positions (C, 3) and rotations (C, 3, 3) of the cameras, in the frame of the points.
     """
