@@ -205,7 +205,7 @@ def _explain(error: ValidationError, section: str) -> str:
     message = first["msg"].removeprefix("Value error, ")
     message = message[0].lower() + message[1:]
     if not key:
-        return f"{place} {message}"
+        return f"{place}: {message}"
     return f"{place} {key} = {first['input']!r}: {message}{help_text}"
 
 

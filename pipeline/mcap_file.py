@@ -32,7 +32,8 @@ T = TypeVar("T")
 EPOCH_NS = 1_262_304_000_000_000_000
 """2010-01-01, the year of the paper: wall-clock time would make equal runs differ."""
 
-CHUNK_BYTES = 1 << 20
+CHUNK_BYTES = 1 << 16
+"""What a kill can cost: a chunk reaches the disk when it is full."""
 _FOOTER_BYTES = 1 + 8 + 20 + 8
 _DATA_END_BYTES = 1 + 8 + 4
 

@@ -302,7 +302,7 @@ def interrupt_at_message(
 
     with (
         mock.patch.object(StageFileWriter, "write_bytes", counting),
-        mock.patch.object(mcap_file, "CHUNK_BYTES", 1 << 12),  # as if each tile filled a chunk
+        mock.patch.object(mcap_file, "CHUNK_BYTES", 1),  # as if each tile filled a chunk
         pytest.raises(Killed),
     ):
         go_on(cli, run, *options)

@@ -182,7 +182,7 @@ def test_an_error_names_file_section_and_key(tmp_path: Path, text: str, message:
     [
         ("", "no [[model]] section"),
         ("[[model]]\nname = 'a'\npath = 'b'\n", "[ingest] needs 'scene'"),
-        ("[ingest]\nscene = 's.ply'\n[[model]]\nname = 'a'\n", "[[model]] number 1 needs 'path'"),
+        ("[ingest]\nscene = 's.ply'\n[[model]]\nname = 'a'\n", "[[model]] number 1: give either"),
         (
             MINIMAL + "\n[[model]]\nname = 'b'\npath = 'c'\nstrech = 1\n",
             "[[model]] number 2 has no key 'strech'. Did you mean 'stretch'?",
