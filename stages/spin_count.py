@@ -383,14 +383,16 @@ def correlate_origin(near, ox, oy, oz, templates, wanted, scratch, out):
     """Correlate one origin with the wanted templates into ``out`` (T,); return the visits."""
     visits = 0
     for g in range(len(templates.sizes)):
-        counted = False
+        seen = np.int64(-1)
         for t in range(len(wanted)):
             if wanted[t] and templates.grid_of[t] == g:
                 bins = grid_bins(templates, g)
                 k = np.int64(bins.rows) * bins.cols
-                if not counted:
-                    visits += count_origin(near, ox, oy, oz, bins, scratch)
-                    counted = True
-                weights, values = templates.weights[t, :k], templates.values[t, :k]
-                out[t] = _pearson(scratch.image, weights, values, scratch.sums)
+                if seen < 0:
+                    seen = count_origin(near, ox, oy, oz, bins, scratch)
+                    visits += seen
+                out[t] = np.float32(0)
+                if seen > 0:
+                    weights, values = templates.weights[t, :k], templates.values[t, :k]
+                    out[t] = _pearson(scratch.image, weights, values, scratch.sums)
     return visits

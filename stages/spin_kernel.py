@@ -116,7 +116,7 @@ def correlate(
     if min_correlation is None:
         blocks = OriginBlocks.of(origins, radius / 5, 256)
     else:
-        blocks = OriginBlocks.of(origins, radius / 2.5, 4096)
+        blocks = OriginBlocks.of(origins, radius / 3.5, 4096)
     found = np.full((len(templates), len(blocks.order)), BELOW)
     if not templates:
         return found
