@@ -44,12 +44,13 @@ def draw_scan(read: Reader, rec: rr.RecordingStream, preview_points: int) -> Non
 
 
 def _counted(
-    scores: Sequence[ScoreTile], histogram: dict[str, NDArray[np.int64]]
+    tiles: Sequence[ScoreTile], histogram: dict[str, NDArray[np.int64]]
 ) -> Iterator[tuple[F32, U8]]:
     """Points and colours of every tile; on the way its correlations are added to the histogram."""
-    for tile in scores:
+    for tile in tiles:
         for column, model in enumerate(tile.models):
-            counts, _ = np.histogram(tile.correlation[:, column], _BINS)
+            scores = tile.correlation[:, column]
+            counts, _ = np.histogram(scores[scores > -1], _BINS)  # -1: given up, a sure miss
             histogram[model] = histogram.get(model, np.zeros(len(counts), np.int64)) + counts
         yield tile.points, tile.rgb
 
@@ -91,7 +92,7 @@ def _summary(origins: int, hits: Sequence[Hits], images: Sequence[SpinImage]) ->
     best = {image.model: image for image in images if image.role == "scene"}
     lines = [
         "## Scan",
-        f"{origins:,} origins scored",
+        f"{origins:,} origins have a correlation",
         "",
         "| model | hits | best correlation | spin image |",
         "|---|---|---|---|",
@@ -99,8 +100,8 @@ def _summary(origins: int, hits: Sequence[Hits], images: Sequence[SpinImage]) ->
     for group in hits:
         image = best.get(group.model)
         text = (
-            f"{image.correlation:.3f} | {image.radius_m:g} x {image.height_m:g} m, "
-            f"bins of {image.bin_m:g} m"
+            f"{image.correlation:.3f} | {image.radius_m:.2f} x {image.height_m:.2f} m, "
+            f"bins of {image.bin_m:.3f} m"
             if image
             else "- | -"
         )
