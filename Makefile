@@ -26,7 +26,8 @@ format:   ## mend what can be mended
 	uv run ruff check --fix
 	uv run ruff format
 
-bench:    ## seconds of every stage and peak memory, from 2 million points on
+bench:    ## the spin kernels against their twin and PCL, then the whole pipeline
+	uv run python tests/bench/scan.py
 	uv run python tests/bench/pipeline.py --millions 2 10
 
 proto:    ## after editing schemas/spinpipe.proto
