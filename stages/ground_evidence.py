@@ -255,7 +255,7 @@ def camera_up(rotations: F64) -> F64 | None:
     """Find the up of level cameras: the axis that they turn about.
 
     Photos are rarely rolled, so the cameras' x axes are horizontal; their common normal is the
-    eigenvector of the smallest eigenvalue of the sum of ``x x^T`` [Szeliski 2006, section 4].
+    eigenvector of the smallest eigenvalue of the sum of ``x x^T`` [Brown & Lowe 2007, section 5].
 
     Parameters
     ----------
