@@ -17,10 +17,11 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.stages.spin_count import IndexArrays, Templates, make_scratch
+from spinpipe.stages.spin_classes import make_test_scratch
+from spinpipe.stages.spin_count import Templates, make_scratch
+from spinpipe.stages.spin_gather import IndexArrays
 from spinpipe.stages.spin_image import SpinGrid, SpinTemplate
 from spinpipe.stages.spin_index import SpinIndex, build_index, sort_by_cell
-from spinpipe.stages.spin_pruning import make_test_scratch
 from spinpipe.stages.spin_scan import count_blocks, scan_blocks
 
 __all__ = ["BELOW", "ScanWork", "SpinIndex", "build_index", "correlate", "histograms"]

@@ -12,197 +12,38 @@ distance ``a`` and depth ``b`` from the group's middle lies, seen from any of th
 lie outside the image) bounds the sum for all origins at once; a bound below 0 proves that none of
 them is a hit. Any ``s`` is right; the best is the group's own mean image, brought to mean 0 and
 variance 1: the better the images of a group agree, the tighter the bound.
-
-Points are counted by class, the pair of first and last bin that they may reach along each axis.
-With ``j = floor(v - d)`` and ``k = floor(v + d)``, ``k - j`` is ``D`` or ``D + 1``, ``D =
-floor(2 d)``, so that the sum ``j + k`` names the pair.
 """
 # pyright: basic
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
-from spinpipe.stages.spin_count import (
-    BUFFER,
-    LANES,
-    correlate_origin,
-    depth_window,
-    fill,
-    grid_bins,
-    inner,
+from spinpipe.stages.spin_classes import (
+    MARGIN_BINS,
+    MAX_LIFT_BINS,
+    MAX_SHIFT_BINS,
+    count_classes,
+    lay_out,
+    mean_image,
+    widened,
 )
+from spinpipe.stages.spin_count import correlate_origin, grid_bins
+from spinpipe.stages.spin_gather import depth_window, fill, inner
 
-MAX_SHIFT_BINS = 3.0
-"""Groups are tested from this reach ``d`` on; wider ones are split first."""
-MAX_LIFT_BINS = 1.0
-"""The same for ``e``."""
 LIFT_WEIGHT = 6.0
 """How much sooner a group is split by height than by width."""
 MIN_GROUP = 4
 """Smaller groups are scanned origin by origin."""
 TEST_COST = 4000
 """What a test costs beside its visits, in visits."""
-MARGIN_BINS = 1e-3
-"""Widening of ``d`` and ``e``, far above the rounding of float32 bin coordinates."""
 ROUNDING = 1e-5
 """Part of the sum of magnitudes that its rounding stays below."""
 LOWERED = 1e-6
 """Lowering of the least correlation, above the rounding of a correlation to float32."""
-COPIES = 2
-"""Interleaved tallies, see ``spin_count.COPIES``."""
 _NEVER = np.float32(-3e38)
 STACK = 160
 """Groups waiting at once: halving float32 extents and counts ends before that depth."""
-
-
-class Classes(NamedTuple):
-    """How the points around a group are numbered.
-
-    Row and column coordinates are shifted by whole bins to stay positive. A class number is
-    ``(row class - base) * 2 * half + (col class odd) * half + col class // 2``.
-    """
-
-    d: np.float32
-    e: np.float32
-    shift_col: np.int32
-    shift_row: np.int32
-    base: np.int32
-    rows: np.int32
-    half: np.int32
-
-
-class TestScratch(NamedTuple):
-    """Memory of one thread for tests: of the largest grid and the widest group."""
-
-    numbers: NDArray[np.uint32]
-    tallies: NDArray[np.uint32]
-    middle: NDArray[np.float32]
-    value: NDArray[np.float32]
-    largest: NDArray[np.float32]
-    line: NDArray[np.float32]
-    total: NDArray[np.float32]
-
-
-@inner
-def _widened(extent, bins):
-    """Add the margin to a reach in bins, such that twice it is no whole number."""
-    reach = extent + MARGIN_BINS + 1e-6 * bins
-    part = 2 * reach - np.floor(2 * reach)
-    if part < 0.01:
-        reach += 0.005
-    elif part > 0.99:
-        reach += 0.01
-    return reach
-
-
-@inner
-def _classes(rows, cols, d, e):
-    """Lay out the classes of a group with reaches ``d`` and ``e``, in bins."""
-    D, E = np.int64(2 * d), np.int64(2 * e)
-    shift_col, shift_row = D // 2 + 2, E + 2
-    half = (cols + D + shift_col + 3 + LANES - 1) // LANES * LANES
-    return Classes(
-        np.float32(d), np.float32(e), np.int32(shift_col), np.int32(shift_row),
-        np.int32(2 * shift_row - E - 2), np.int32(2 * rows + 2 * E + 6), np.int32(half),
-    )  # fmt: skip
-
-
-def make_test_scratch(sizes: NDArray[np.int32]) -> TestScratch:
-    """Allocate one thread's memory for tests with grids of these (rows, cols)."""
-    tallies = half = 0
-    for rows, cols in sizes:
-        widest = _classes.py_func(rows, cols, MAX_SHIFT_BINS + 1, MAX_LIFT_BINS + 1)
-        tallies = max(tallies, 2 * int(widest.rows) * int(widest.half))
-        half = max(half, int(widest.half))
-    rows = int(sizes[:, 0].max())
-    return TestScratch(
-        np.empty(BUFFER, np.uint32),
-        np.empty((COPIES, tallies + LANES), np.uint32),
-        np.empty((rows, half), np.float32),
-        np.empty((rows, 2 * half), np.float32),
-        np.empty((2, rows, half), np.float32),
-        np.empty(half, np.float32),
-        np.empty(half, np.float32),
-    )
-
-
-@inner
-def _number_classes(x, y, z, mx, my, mz, reach_sq, scale, bottom, classes, numbers):
-    """Class number of each point, past the last class for those out of reach (vectorised)."""
-    d, e, base, half = classes.d, classes.e, classes.base, classes.half
-    shift_col, shift_row = np.float32(classes.shift_col), np.float32(classes.shift_row)
-    outside = classes.rows * (half + half)
-    for i in range(len(x)):
-        dx = x[i] - mx
-        dy = y[i] - my
-        a2 = dx * dx + dy * dy
-        v = np.sqrt(a2) * scale + shift_col
-        u = (mz - z[i]) * scale + shift_row
-        col = np.int32(v + d) + np.int32(v - d)
-        row = np.int32(u + e) + np.int32(u - e) - base
-        number = row * (half + half) + (col & np.int32(1)) * half + (col >> np.int32(1))
-        inside = (a2 < reach_sq) & (u + e >= shift_row) & (u - e < bottom)
-        numbers[i] = np.uint32(number if inside else outside + np.int32(i & (LANES - 1)))
-
-
-@inner
-def _count_classes(near, begin, end, mx, my, mz, reach_sq, bins, classes, scratch):
-    """Count the classes of ``near[begin:end]`` into ``scratch.tallies[0]``; return their sum."""
-    size = np.int64(classes.rows) * 2 * classes.half
-    bottom = np.float32(bins.height * bins.scale + classes.shift_row + MARGIN_BINS)
-    for copy in range(COPIES):
-        fill(scratch.tallies[copy, : size + LANES], 0)
-    t0, t1 = scratch.tallies[0], scratch.tallies[1]
-    for at in range(begin, end, BUFFER):
-        n = min(end - at, BUFFER)
-        whole = (n + LANES - 1) // LANES * LANES
-        numbers = scratch.numbers[:whole]
-        _number_classes(
-            near.x[at : at + whole], near.y[at : at + whole], near.z[at : at + whole],
-            mx, my, mz, reach_sq, bins.scale, bottom, classes, numbers,
-        )  # fmt: skip
-        for j in range(0, n // 2 * 2, 2):
-            t0[numbers[j]] += np.uint32(1)
-            t1[numbers[j + 1]] += np.uint32(1)
-        if n % 2:
-            t0[numbers[n - 1]] += np.uint32(1)
-    total = np.int64(0)
-    for i in range(size):
-        t0[i] += t1[i]
-        total += t0[i]
-    return total
-
-
-@inner
-def _mean_image(classes, rows, cols, scratch):
-    """Spread the classes evenly over their bins: about the mean of the group's images."""
-    half, shift = np.int64(classes.half), np.int64(classes.shift_col)
-    middle, line = scratch.middle, scratch.line
-    for r in range(rows):
-        fill(middle[r, :cols], np.float32(0))
-    share = np.float32(0.5)
-    for row in range(classes.rows):
-        pair = row + classes.base
-        bin_row = (pair >> 1) - classes.shift_row
-        if bin_row < -1 or bin_row >= rows:
-            continue
-        at = np.int64(row) * 2 * half
-        even, odd = scratch.tallies[0, at : at + half], scratch.tallies[0, at + half :]
-        before = scratch.tallies[0, at + half + shift - 1 :]
-        even, odd = even[shift:], odd[shift:]
-        for c in range(cols):
-            line[c] = np.float32(even[c]) + share * (np.float32(odd[c]) + np.float32(before[c]))
-        part = share if pair & 1 else np.float32(1)
-        if bin_row >= 0:
-            for c in range(cols):
-                middle[bin_row, c] += part * line[c]
-        if pair & 1 and bin_row + 1 < rows:
-            for c in range(cols):
-                middle[bin_row + 1, c] += part * line[c]
 
 
 @inner
@@ -405,21 +246,21 @@ def _test(near, box, count, limit, templates, wanted, tests, work):
             continue
         bins = grid_bins(templates, g)
         rows, cols = np.int64(bins.rows), np.int64(bins.cols)
-        d, e = _widened(shift * bins.scale, cols), _widened(dz * bins.scale, rows)
+        d, e = widened(shift * bins.scale, cols), widened(dz * bins.scale, rows)
         begin, end = depth_window(near, box[4], box[5], bins.height)
         if not (d <= MAX_SHIFT_BINS and e <= MAX_LIFT_BINS):
             return 1.0
         if count * (end - begin) < 2 * (end - begin + TEST_COST):
             return 0.0
-        classes = _classes(rows, cols, d, e)
+        classes = lay_out(rows, cols, d, e)
         reach = (np.sqrt(np.float64(bins.radius_sq)) + shift) * (1 + 1e-5)
-        total = _count_classes(
+        total = count_classes(
             near, begin, end, mx, my, mz, np.float32(reach * reach), bins, classes, tests
         )
         work[0] += end - begin
         work[1] += 1
         if total > 0:
-            _mean_image(classes, rows, cols, tests)
+            mean_image(classes, rows, cols, tests)
         for t in range(len(wanted)):
             if wanted[t] and templates.grid_of[t] == g:
                 if total == 0:

@@ -14,19 +14,18 @@ import numpy as np
 from numba import njit
 
 from spinpipe.stages.spin_count import (
-    bounding_box,
     correlate_origin,
     count_origin,
-    gather,
     grid_bins,
 )
+from spinpipe.stages.spin_gather import bounding_box, gather
 from spinpipe.stages.spin_pruning import search_group
 
 
 def _sources() -> str:
     """Digest of the kernels' sources."""
-    names = ("spin_count.py", "spin_pruning.py", "spin_scan.py")
-    texts = [Path(__file__).with_name(name).read_bytes() for name in names]
+    names = ("gather", "count", "classes", "pruning", "scan", "image")
+    texts = [Path(__file__).with_name(f"spin_{name}.py").read_bytes() for name in names]
     return hashlib.sha256(b"".join(texts)).hexdigest()
 
 
