@@ -15,8 +15,6 @@ from numba import njit
 
 from spinpipe.stages.registration import inside_depth, nearest_sample
 
-EVIDENCE = ("supported", "contradicted", "explained", "claimed", "square_sum", "inside", "above")
-
 
 @njit(cache=True, nogil=True, inline="always")
 def cells_within(centre, reach, corner, pitch, cells):
@@ -136,6 +134,77 @@ def model_evidence(
 
 
 @njit(cache=True, nogil=True)
+def side_evidence(
+    points,
+    cell_start,
+    cells,
+    cell_m,
+    corner,
+    probes,
+    origin,
+    voxel,
+    edges,
+    depth_edge,
+    pose,
+    gate,
+    sharp,
+    column_m,
+    density,
+):
+    """Share of the model's upright surface that the scene supports and that it contradicts.
+
+    Whether upright surfaces are seen at all depends on where the sensor was. So nothing follows
+    from one that is not there, unless points below it show that its place was looked through.
+
+    Parameters
+    ----------
+    probes : (W, 3) float64, samples on upright surfaces, object frame.
+    points, cell_start, cells, cell_m, corner, origin, voxel, edges, depth_edge, pose, gate, sharp,
+    column_m, density : as in ``model_evidence``.
+
+    Returns
+    -------
+    supported, contradicted : shares of the upright surface.
+    """
+    c, s = math.cos(pose[3]), math.sin(pose[3])
+    inv = 1.0 / voxel
+    reach = max(gate, column_m)
+    enough = max(0.25 * density * math.pi * column_m * column_m, 1.0)
+    supported = 0.0
+    contradicted = 0.0
+    for k in range(probes.shape[0]):
+        mx, my = probes[k, 0] * pose[4], probes[k, 1] * pose[5]
+        x = pose[0] + c * mx - s * my
+        y = pose[1] + s * mx + c * my
+        z = pose[2] + probes[k, 2] * pose[6]
+        i0, i1 = cells_within(x, reach, corner[0], cell_m, cells[0])
+        j0, j1 = cells_within(y, reach, corner[1], cell_m, cells[1])
+        at = 0
+        below = 0
+        above = 0
+        for i in range(i0, i1):
+            for n in range(cell_start[i * cells[1] + j0], cell_start[i * cells[1] + j1]):
+                dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
+                flat2 = dx * dx + dy * dy
+                if flat2 + dz * dz <= reach * reach:
+                    at += 1
+                elif flat2 <= column_m * column_m:
+                    if dz > 0.0:
+                        above += 1
+                    else:
+                        dx, dy = points[n, 0] - pose[0], points[n, 1] - pose[1]
+                        ux, uy = (c * dx + s * dy) / pose[4], (c * dy - s * dx) / pose[5]
+                        if inside_depth(ux, uy, origin, inv, edges, depth_edge) > sharp:
+                            below += 1
+        if at > 0:
+            supported += 1.0
+        elif below > 0 and above == 0:
+            contradicted += min(1.0, below / enough)
+    count = max(probes.shape[0], 1)
+    return supported / count, contradicted / count
+
+
+@njit(cache=True, nogil=True)
 def outline_evidence(
     points, cell_start, cells, cell_m, corner, outline, normals, height, pose, beyond_m, column_m
 ):
@@ -168,18 +237,26 @@ def outline_evidence(
         y = pose[1] + s * mx + c * my
         i0, i1 = cells_within(x, column_m, corner[0], cell_m, cells[0])
         j0, j1 = cells_within(y, column_m, corner[1], cell_m, cells[1])
+        inner = height[k] * pose[6]
         count = 0
+        overhead = np.inf
         for i in range(i0, i1):
             for n in range(cell_start[i * cells[1] + j0], cell_start[i * cells[1] + j1]):
                 dx, dy = points[n, 0] - x, points[n, 1] - y
-                if dx * dx + dy * dy <= radius2 and count < 64:
-                    heights[count] = points[n, 2]
+                if dx * dx + dy * dy > radius2:
+                    continue
+                z = points[n, 2] - pose[2]
+                if z > inner + beyond_m:
+                    overhead = min(overhead, z)
+                elif count < heights.shape[0]:
+                    heights[count] = z
                     count += 1
-        if count == 0:
-            continue
-        low = np.sort(heights[:count])[count // 4] - pose[2]
-        inner = height[k] * pose[6]
-        total += min(max((inner - low) / inner, 0.0), 1.0)
+        if count > 0:
+            # the upper quartile: where the scene shows ground below things, things still go on
+            level = np.sort(heights[:count])[(3 * count) // 4]
+            total += min(max((inner - level) / inner, 0.0), 1.0)
+        elif overhead > 2 * inner:
+            continue  # a crown or a roof that hides what is below it
         observed += 1
     if observed == 0:
         return 0.0, 0.0
@@ -188,7 +265,7 @@ def outline_evidence(
 
 @njit(cache=True, nogil=True)
 def scene_evidence(
-    points, weights, samples, normals, origin, voxel, nearest, solid, size, pose, gate, floor_z
+    points, weights, samples, normals, origin, voxel, nearest, solid, size, pose, gate
 ):
     """How much of what the model claims it also explains.
 
@@ -198,7 +275,6 @@ def scene_evidence(
     samples, normals, origin, voxel, nearest, solid, size : of the ModelField.
     pose : (7,) float64.
     gate : metres.
-    floor_z : claims begin at this height; what is lower may be the ground.
 
     Returns
     -------
@@ -217,12 +293,15 @@ def scene_evidence(
     for n in range(points.shape[0]):
         dx, dy = points[n, 0] - pose[0], points[n, 1] - pose[1]
         ux, uy, uz = c * dx + s * dy, c * dy - s * dx, points[n, 2] - pose[2]
-        if points[n, 2] < floor_z or uz > top + gate:
-            continue
+        if uz > top + gate or 0.0 <= uz < 0.1 * top:
+            continue  # wheels, feet and what the ground piles up against them
         if abs(ux) > half_x + gate or abs(uy) > half_y + gate:
             continue
         k = nearest_sample(ux / sx, uy / sy, uz / sz, origin[0], origin[1], origin[2], inv, nearest)
+        within = abs(ux) <= half_x and abs(uy) <= half_y and uz <= top
         if k < 0:
+            # below the base, above the ground: the body goes on where the model does not
+            claimed += weights[n] if within else 0.0
             continue
         ex, ey, ez = ux - sx * samples[k, 0], uy - sy * samples[k, 1], uz - sz * samples[k, 2]
         d2 = ex * ex + ey * ey + ez * ez
@@ -232,7 +311,7 @@ def scene_evidence(
             claimed += weights[n]
             explained += weights[n]
             square_sum += weights[n] * r
-        elif abs(ux) <= half_x and abs(uy) <= half_y and uz <= top:
+        elif within:
             claimed += weights[n]
             i = int((ux / sx - origin[0]) * inv)
             j = int((uy / sy - origin[1]) * inv)

@@ -18,6 +18,7 @@ from spinpipe.stages.evidence import (
     model_evidence,
     outline_evidence,
     scene_evidence,
+    side_evidence,
 )
 from spinpipe.stages.model_field import ModelField
 from spinpipe.stages.registration import POSE, coarse_fit, refine
@@ -40,6 +41,8 @@ EVIDENCE = (
     "rms_m",
     "drop",
     "ring",
+    "side_supported",
+    "side_contradicted",
 )
 """Columns of the evidence of a hypothesis, see ``evidence.py``."""
 
@@ -97,7 +100,7 @@ def tolerance(model: ModelField, stretch: float, spacing_m: float, noise_m: floa
         coarse_gate_m=max(gate, step),
         step_m=step,
         chance=min(0.5, 2 * column / model.size[2]),
-        headings=max(8, math.ceil(2 * math.pi * half_length / (3 * step))),
+        headings=max(16, math.ceil(2 * math.pi * half_length / (3 * step))),
         offset_m=0.9 * narrow,
         low_m=max(3 * noise_m, 0.07 * model.size[2]),
         stretch=stretch,
@@ -199,6 +202,7 @@ def refine_poses(
             model.normals,
             model.probes,
             model.seen_weight,
+            model.samples[model.side_probes],
             model.origin,
             model.voxel_m,
             model.nearest,
@@ -341,9 +345,12 @@ def _coarse_batch(
             continue
         body, body_weights = _thin(points, weights, body_rows, _COARSE_POINTS)
         ground, ground_weights = _thin(points, weights, ground_rows, _COARSE_POINTS)
+        # where the model is rigid another one may have proposed the place: only its xy counts
         tall = 1.0
+        base = ground_z[c]
         if stretch > 0.0:
             tall = min(max((z - ground_z[c]) / size[2], 1.0 - stretch), 1.0 + stretch)
+            base = z - tall * size[2]
         n = 0
         for h in range(headings):
             yaw = 2 * math.pi * h / headings
@@ -353,7 +360,7 @@ def _coarse_batch(
                     ox, oy = i * step - top[0], j * step - top[1]
                     pose[n, 0] = x + cos * ox - sin * oy
                     pose[n, 1] = y + sin * ox + cos * oy
-                    pose[n, 2] = z - tall * size[2]
+                    pose[n, 2] = base
                     pose[n, 3] = yaw
                     pose[n, 4] = 1.0
                     pose[n, 5] = 1.0
@@ -406,6 +413,7 @@ def _refine_batch(
     normals,
     probes,
     seen_weight,
+    sides,
     origin,
     voxel,
     nearest,
@@ -485,8 +493,8 @@ def _refine_batch(
             outline_normals,
             outline_height,
             pose,
-            gate + cell_m,
-            cell_m,
+            gate + 0.7 * cell_m,
+            0.7 * cell_m,
         )
         claimed, explained, inside, squares = scene_evidence(
             body,
@@ -500,7 +508,6 @@ def _refine_batch(
             size,
             pose,
             gate,
-            pose[2] + 0.1 * size[2],
         )
         evidence[c, 0] = 1.0 if converged else 0.0
         evidence[c, 1] = supported
@@ -514,3 +521,20 @@ def _refine_batch(
         evidence[c, 9] = math.sqrt(squares / explained) if explained > 0.0 else np.inf
         evidence[c, 10] = drop
         evidence[c, 11] = ring
+        evidence[c, 12], evidence[c, 13] = side_evidence(
+            points,
+            start,
+            cells,
+            cell_m,
+            corner,
+            sides,
+            origin,
+            voxel,
+            edges,
+            depth_edge,
+            pose,
+            gate,
+            sharp,
+            cell_m,
+            density,
+        )

@@ -30,6 +30,7 @@ class ModelField:
     normals : (S, 3) float64, unit, outward.
     probes : (V,) int64, an even choice of the samples that are visible from above.
     seen_weight : (V,) float64, share of the visible area, as projected, that each stands for.
+    side_probes : (W,) int64, an even choice of the samples on upright surfaces.
     size : (3,) float64, extent of the bounding box; its base centre is the origin.
     origin, voxel_m : corner and pitch of the grid.
     nearest : (nx, ny, nz) int32, index of the sample nearest to each voxel's centre.
@@ -48,6 +49,7 @@ class ModelField:
     normals: NDArray[np.float64]
     probes: NDArray[np.int64]
     seen_weight: NDArray[np.float64]
+    side_probes: NDArray[np.int64]
     size: NDArray[np.float64]
     origin: NDArray[np.float64]
     voxel_m: float
@@ -59,6 +61,12 @@ class ModelField:
     outline: NDArray[np.float64]
     outline_normals: NDArray[np.float64]
     outline_height: NDArray[np.float64]
+
+    @property
+    def resolution_m(self) -> float:
+        """Distance below which the field tells no two surfaces apart."""
+        neighbour = KDTree(self.samples).query(self.samples, k=2)[0][:, 1]
+        return float(0.6 * np.hypot(np.median(neighbour), self.voxel_m))
 
     @property
     def narrow_m(self) -> float:
@@ -84,7 +92,7 @@ class ModelField:
             return False
         near = self.samples[self.nearest[cell[:, 0], cell[:, 1], cell[:, 2]]]
         distance = np.linalg.norm(turned - near, axis=1).mean()
-        return bool(distance < max(self.voxel_m, noise_m))
+        return bool(distance < max(self.resolution_m, noise_m))
 
 
 def build_model_field(
@@ -141,6 +149,8 @@ def build_model_field(
     if len(visible) == 0:
         raise ValueError(f"model {name!r} has no surface that is visible from above")
     probe = visible[_spread_evenly(samples[visible], probes)]
+    open_to_air = _reached(samples + 1.5 * voxel * outward, open_air, origin, voxel)
+    sides = np.flatnonzero(open_to_air & (np.abs(outward[:, 2]) < 0.5))
     # a probe stands for the visible samples nearest to it
     owner = KDTree(samples[probe]).query(samples[visible])[1]
     weight = np.bincount(owner, weights=outward[visible, 2], minlength=len(probe))
@@ -156,6 +166,7 @@ def build_model_field(
         samples=samples,
         normals=outward,
         probes=probe,
+        side_probes=sides[_spread_evenly(samples[sides], probes)],
         seen_weight=weight / weight.sum(),
         size=size,
         origin=origin,

@@ -32,8 +32,10 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 Fate = Literal["accepted", "ambiguous", "rejected"]
 
+COARSE = 3
+"""How many coarse poses of a candidate are kept for each model."""
 STARTS = 5
-"""How many coarse poses of a candidate are refined, over all models."""
+"""How many of them are refined, over all models, at least."""
 WORTH_A_SECOND_LOOK = 0.02
 """Score from which a place is tried with all models and headings."""
 
@@ -191,19 +193,19 @@ class Examiner:
     def _first_look(self, scene: Surroundings, places: F64, threads: int) -> Hypotheses:
         poses, gains, model = [], [], []
         for m, (known, limits) in enumerate(zip(self.objects, self.limits, strict=True)):
-            pose, gain = coarse_poses(scene, known.field, limits, places, 3, threads)
+            pose, gain = coarse_poses(scene, known.field, limits, places, COARSE, threads)
             poses.append(pose)
             gains.append(gain)
             model.append(np.full(gain.shape, m))
         pose, gain = np.concatenate(poses, axis=1), np.concatenate(gains, axis=1)
         rows = np.concatenate(model, axis=1)
-        best = np.argsort(-gain, axis=1, kind="stable")[:, :STARTS]
-        candidate = np.repeat(np.arange(len(places)), best.shape[1])
-        chosen = (candidate, best.ravel())
-        alive = gain[chosen] > 0
-        return self._refined(
-            scene, candidate[alive], rows[chosen][alive], pose[chosen][alive], threads
-        )
+        # the best of all models, and of every model its own best if that is half as good
+        rank = np.argsort(np.argsort(-gain, axis=1, kind="stable"), axis=1, kind="stable")
+        own_best = np.tile(np.arange(COARSE) == 0, len(self.objects))
+        promising = own_best & (gain > 0.5 * gain.max(axis=1, keepdims=True))
+        candidate, column = np.nonzero((gain > 0) & ((rank < STARTS) | promising))
+        chosen = (candidate, column)
+        return self._refined(scene, candidate, rows[chosen], pose[chosen], threads)
 
     def _second_look(self, scene: Surroundings, first: Hypotheses, threads: int) -> Hypotheses:
         best = first.rows(_best_rows(first))

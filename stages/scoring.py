@@ -13,17 +13,20 @@ from spinpipe.stages.hypotheses import EVIDENCE, Tolerance
 
 F64 = NDArray[np.float64]
 
-PARTS = ("model", "scene", "residual", "outline", "stands")
+PARTS = ("model", "sides", "scene", "residual", "outline", "stands")
 """model: visible surface of the model that the scene shows, against what the scene contradicts.
+sides: the same for upright surfaces, as far as they can be judged.
 scene: points in the model's bounding box that lie on its surface, beyond chance.
 residual: how much closer they lie than chance would put them.
 outline: how far the scene drops where the model ends.
 stands: whether the base is at the local ground."""
 
-HIDDEN = 0.25
+HIDDEN = 0.5
 """Weight of surface below something else: less than what is seen through, more than nothing."""
 SWALLOWED = 0.6
 """Credit for surface without any return, where ground is seen all around: dark paint and glass."""
+UNJUDGED = 0.3
+"""Sides are believed in unless what contradicts them is more than this share of them."""
 EVEN = 0.4
 """Product of the parts at which a hypothesis is as likely right as wrong."""
 STEEPNESS = 4.0
@@ -54,6 +57,8 @@ def score_parts(
     asked = column["supported"] + column["contradicted"] + column["empty"]
     asked = asked + HIDDEN * column["covered"]
     model = np.divide(shown, asked, out=np.zeros_like(shown), where=asked > 0)
+    sides = column["side_supported"] + UNJUDGED
+    sides = sides / (sides + column["side_contradicted"])
     claimed = column["claimed"]
     share = np.divide(column["explained"], claimed, out=np.zeros_like(shown), where=claimed > 0)
     scene = np.clip((share - shell_share) / (1.0 - shell_share), 0.0, 1.0)
@@ -61,7 +66,9 @@ def score_parts(
     residual = 1.0 - np.minimum(3.0 * (column["rms_m"] / limits.gate_m) ** 2, 1.0)
     tolerated = np.maximum(limits.sharp_m, 0.15 * height_m)
     stands = np.clip(2.0 - np.abs(above_ground_m) / tolerated, 0.0, 1.0)
-    return np.stack([model, scene, np.sqrt(residual), np.sqrt(column["drop"]), stands], axis=1)
+    return np.stack(
+        [model, sides, scene, np.sqrt(residual), np.sqrt(column["drop"]), stands], axis=1
+    )
 
 
 def score(parts: F64) -> F64:

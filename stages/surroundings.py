@@ -21,6 +21,8 @@ I64 = NDArray[np.int64]
 
 PATCH_SPACINGS = 5.0
 """Side of the patches whose planes measure the noise, in point spacings: about 25 points."""
+PLAIN_PERCENT = 30
+"""At least this share of the patches is plain ground."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +62,9 @@ class Surroundings:
 def measure_sampling(points: NDArray[np.floating]) -> Sampling:
     """Spacing and noise of a cloud.
 
-    The spacing is that of the median occupied square of half a metre's worth of points; the noise
-    is the 30th percentile, over small patches, of the residual of a plane z = a + bx + cy: at
-    least that share of the patches is plain ground.
+    Planes z = a + bx + cy are fitted to patches of about 25 points. The noise is the 30th
+    percentile of their residuals: at least that share of the patches is plain ground. The spacing
+    is that of the median patch of the plainer half: walls, trees, stray points count for nothing.
 
     Parameters
     ----------
@@ -79,19 +81,27 @@ def measure_sampling(points: NDArray[np.floating]) -> Sampling:
     extent = np.ptp(xyz[:, :2], axis=0)
     side = max(float(np.sqrt(extent.prod() / len(xyz))), 1e-3) * PATCH_SPACINGS
     spacing = side / PATCH_SPACINGS
-    for _ in range(4):  # the occupied part may be far denser than the bounding box
+    noise = 0.0
+    for _ in range(8):  # the occupied part may be far denser than the bounding box
         order, first = column_order(xyz, side)[:2]
-        counts = np.diff(np.append(first, len(xyz)))
-        # the median point's patch, not the median patch: stray points have patches of their own
-        typical = float(np.sort(counts)[np.searchsorted(np.cumsum(np.sort(counts)), len(xyz) / 2)])
-        spacing = side / np.sqrt(typical)
+        counts, variance = _patch_planes(xyz[order], first)
+        if len(counts) == 0:
+            return Sampling(spacing, noise)
+        noise = float(np.sqrt(np.percentile(variance, PLAIN_PERCENT)))
+        plain = counts[variance <= np.median(variance)]
+        spacing = side / float(np.sqrt(np.median(plain)))
+        if abs(side / spacing - PATCH_SPACINGS) < 0.1 * PATCH_SPACINGS:
+            break
         side = PATCH_SPACINGS * spacing
-    order, first = column_order(xyz, side)[:2]
-    return Sampling(float(spacing), _plane_noise(xyz[order], first))
+    return Sampling(spacing, noise)
 
 
-def _plane_noise(xyz: F64, first: I64) -> float:
-    """30th percentile of the patches' residuals about their planes z = a + bx + cy."""
+def _patch_planes(xyz: F64, first: I64) -> tuple[I64, F64]:
+    """Points and variance about the plane z = a + bx + cy of each patch of at least 8 points.
+
+    Were all patches plain, ``PLAIN_PERCENT`` of the variances would stay below a certain share of
+    the true one [chi-squared distribution]; they are divided by that share.
+    """
     counts = np.diff(np.append(first, len(xyz)))
     mean = np.add.reduceat(xyz, first) / counts[:, None]
     centred = xyz - np.repeat(mean, counts, axis=0)
@@ -101,15 +111,11 @@ def _plane_noise(xyz: F64, first: I64) -> float:
     )
     det = xx * yy - xy * xy
     fit = (counts >= 8) & (det > 1e-6 * (xx + yy) ** 2)
-    if not fit.any():
-        return 0.0
     xx, xy, yy, xz, yz, zz, det = (v[fit] for v in (xx, xy, yy, xz, yz, zz, det))
     b, c = (xz * yy - yz * xy) / det, (yz * xx - xz * xy) / det
     freedom = counts[fit] - 3
-    # what 30 % of the patches stay below, as a share of the variance, were all of them plain
-    share = 2 * gammaincinv(freedom / 2, 0.3) / freedom
-    residual = np.clip(zz - b * xz - c * yz, 0.0, None) / freedom / share
-    return float(np.sqrt(np.percentile(residual, 30)))
+    share = 2 * gammaincinv(freedom / 2, PLAIN_PERCENT / 100) / freedom  # of the chi-squared
+    return counts[fit], np.clip(zz - b * xz - c * yz, 0.0, None) / freedom / share
 
 
 def build_surroundings(
