@@ -82,7 +82,9 @@ def plant_objects(folder: RunFolder, count: int, rng: np.random.Generator) -> li
     tallest = max(f.height_m for f in footprints)
     grid = _ground(cloud, footprints)
     lowest_height = min(f.height_m for f in footprints)
-    clear_m = ground_spread(grid, _pieces(cloud), 0.05 * lowest_height, 0.2 * lowest_height)
+    clear_m = ground_spread(
+        grid, _pieces(cloud), 0.05 * lowest_height, 0.2 * lowest_height, share=0.99
+    )
     blocked = blocked_cells(grid, _pieces(cloud), clear_m, tallest)
     places = free_places(grid, blocked, footprints, 2 * grid.cell_m, rng)
     planted: list[Planted] = []

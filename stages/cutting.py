@@ -71,7 +71,10 @@ def cut_instance(
     inside = np.all(np.abs(in_object[:, :2]) <= size[:2] / 2, axis=1) & (in_object[:, 2] <= size[2])
     above_ground = points[:, 2] - grid.heights(points[:, :2])
     height = float(size[2])
-    clear_m = ground_spread(grid, [points], GROUND_SHARE * height, MOST_GROUND_SHARE * height)
+    # A quarter of what is near the ground may be the skin that photogrammetry spans to objects
+    clear_m = ground_spread(
+        grid, [points], GROUND_SHARE * height, MOST_GROUND_SHARE * height, share=0.75
+    )
     inside &= np.minimum(above_ground, in_object[:, 2]) > clear_m
     return np.flatnonzero(inside), pose
 

@@ -82,11 +82,15 @@ def ground_grid(
 
 
 def ground_spread(
-    grid: GroundGrid, pieces: Iterable[NDArray[np.floating]], least_m: float, most_m: float
+    grid: GroundGrid,
+    pieces: Iterable[NDArray[np.floating]],
+    least_m: float,
+    most_m: float,
+    share: float,
 ) -> float:
     """Height above the grid below which points belong to the ground: uneven, or measured badly.
 
-    The 99th percentile of the points over seen ground that lie below ``most_m``, but at least
+    A ``share`` of the points over seen ground that lie below ``most_m`` lie lower; at least
     ``least_m``.
     """
     heights = [np.empty(0)]
@@ -96,7 +100,7 @@ def ground_spread(
         on_ground = inside & grid.seen[cells[:, 0], cells[:, 1]] & (above < most_m)
         heights.append(above[on_ground].astype(np.float64))
     above = np.concatenate(heights)
-    return max(least_m, float(np.percentile(above, 99)) if len(above) else 0.0)
+    return max(least_m, float(np.quantile(above, share)) if len(above) else 0.0)
 
 
 def _from_nearest(values: F64, known: NDArray[np.bool_]) -> F64:
