@@ -1,11 +1,15 @@
 """The part of numba that spinpipe uses; numba itself brings no types."""
 
 from collections.abc import Callable
-from typing import Any, Literal, TypeVar
-
-F = TypeVar("F", bound=Callable[..., Any])
+from typing import Any, Literal
 
 prange = range
+
+class Dispatcher:
+    """A compiled function; it takes positional arguments of any type that numba knows."""
+
+    py_func: Callable[..., Any]
+    def __call__(self, *args: Any) -> Any: ...
 
 def njit(
     *,
@@ -17,4 +21,4 @@ def njit(
     boundscheck: bool = ...,
     no_cpython_wrapper: bool = ...,
     no_cfunc_wrapper: bool = ...,
-) -> Callable[[F], Callable[..., Any]]: ...
+) -> Callable[[Callable[..., Any]], Dispatcher]: ...
