@@ -199,7 +199,8 @@ def test_cached_kernels_are_keyed_by_all_kernel_sources():
     texts = [(folder / f"spin_{name}.py").read_bytes() for name in names]
     digest = hashlib.sha256(b"".join(texts)).hexdigest()
     for kernel in (spin_scan.scan_blocks, spin_scan.count_blocks):
-        assert digest in [cell.cell_contents for cell in kernel.py_func.__closure__]
+        enclosed = kernel.py_func.__closure__ or ()
+        assert digest in [cell.cell_contents for cell in enclosed]
     used = {m for m in sys.modules if m.startswith("spinpipe.stages.spin_")}
     host = {"kernel", "index", "voxel"}  # not compiled
     assert {m.removeprefix("spinpipe.stages.spin_") for m in used} <= set(names) | host
