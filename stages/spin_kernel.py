@@ -22,7 +22,7 @@ from spinpipe.stages.spin_count import Templates, make_scratch
 from spinpipe.stages.spin_gather import IndexArrays
 from spinpipe.stages.spin_image import SpinGrid, SpinTemplate
 from spinpipe.stages.spin_index import SpinIndex, build_index, sort_by_cell
-from spinpipe.stages.spin_scan import count_blocks, scan_blocks
+from spinpipe.stages.spin_scan import count_blocks, prune_blocks, scan_blocks
 
 __all__ = ["BELOW", "ScanWork", "SpinIndex", "build_index", "correlate", "histograms"]
 
@@ -127,10 +127,12 @@ def correlate(
         first, last = chunk
         origins, order, start = blocks.arrays
         cost = np.zeros(3, np.int64)
-        scan_blocks(
-            arrays, origins, order, start[first : last + 1], tables, min_correlation is not None,
-            make_scratch(tables.sizes), make_test_scratch(tables.sizes), found, cost,
-        )  # fmt: skip
+        given = (arrays, origins, order, start[first : last + 1], tables)
+        scratch = make_scratch(tables.sizes)
+        if min_correlation is None:
+            scan_blocks(*given, scratch, found, cost)
+        else:
+            prune_blocks(*given, scratch, make_test_scratch(tables.sizes), found, cost)
         return int(start[last] - start[first]), cost
 
     for count, (visits, tests, scanned) in map_threads(scan, blocks.chunks(), threads):

@@ -18,7 +18,7 @@ from spinpipe.stages.spin_count import (
     count_origin,
     grid_bins,
 )
-from spinpipe.stages.spin_gather import bounding_box, gather
+from spinpipe.stages.spin_gather import bounding_box, gather, inner
 from spinpipe.stages.spin_pruning import search_group
 
 
@@ -27,6 +27,16 @@ def _sources() -> str:
     names = ("gather", "count", "classes", "pruning", "scan", "image")
     texts = [Path(__file__).with_name(f"spin_{name}.py").read_bytes() for name in names]
     return hashlib.sha256(b"".join(texts)).hexdigest()
+
+
+@inner
+def _reach(templates):
+    """Return the largest squared radius and the largest height of all grids."""
+    radius_sq = height = np.float32(0)
+    for g in range(len(templates.sizes)):
+        radius_sq = max(radius_sq, templates.numbers[g, 0])
+        height = max(height, templates.numbers[g, 1])
+    return radius_sq, height
 
 
 def _kernels(sources: str):
@@ -48,25 +58,19 @@ def _kernels(sources: str):
                     images[o, i] = scratch.image[i]
 
     @njit(cache=True, nogil=True, error_model="numpy")
-    def scan_blocks(index, origins, order, start, templates, pruned, scratch, tests, found, work):
-        """Correlations with all templates into ``found`` (T, M); if ``pruned``, of hits only.
+    def scan_blocks(index, origins, order, start, templates, scratch, found, work):
+        """Correlations with all templates into ``found`` (T, M).
 
         ``work`` (3,) counts visits, tests and origins scanned.
         """
         _ = sources
-        radius_sq = height = np.float32(0)
-        for g in range(len(templates.sizes)):
-            radius_sq = max(radius_sq, templates.numbers[g, 0])
-            height = max(height, templates.numbers[g, 1])
+        radius_sq, height = _reach(templates)
         wanted = np.ones(len(templates.grid_of), np.bool_)
         result = np.empty(len(wanted), np.float32)
         for block in range(len(start) - 1):
-            members = order[start[block] : start[block + 1]].copy()
+            members = order[start[block] : start[block + 1]]
             box = bounding_box(origins, members)
             near = gather(index, box, radius_sq, height, len(members))
-            if pruned:
-                search_group(near, origins, members, templates, scratch, tests, found, work)
-                continue
             for o in members:
                 x, y, z = origins[o, 0], origins[o, 1], origins[o, 2]
                 work[0] += correlate_origin(near, x, y, z, templates, wanted, scratch, result)
@@ -74,7 +78,18 @@ def _kernels(sources: str):
                 for t in range(len(result)):
                     found[t, o] = result[t]
 
-    return count_blocks, scan_blocks
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def prune_blocks(index, origins, order, start, templates, scratch, tests, found, work):
+        """Correlations of hits into ``found`` (T, M), the rest left as it is; see above."""
+        _ = sources
+        radius_sq, height = _reach(templates)
+        for block in range(len(start) - 1):
+            members = order[start[block] : start[block + 1]].copy()
+            box = bounding_box(origins, members)
+            near = gather(index, box, radius_sq, height, len(members))
+            search_group(near, origins, members, templates, scratch, tests, found, work)
+
+    return count_blocks, scan_blocks, prune_blocks
 
 
-count_blocks, scan_blocks = _kernels(_sources())
+count_blocks, scan_blocks, prune_blocks = _kernels(_sources())

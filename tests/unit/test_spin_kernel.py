@@ -198,7 +198,7 @@ def test_cached_kernels_are_keyed_by_all_kernel_sources():
     names = ("gather", "count", "classes", "pruning", "scan", "image")
     texts = [(folder / f"spin_{name}.py").read_bytes() for name in names]
     digest = hashlib.sha256(b"".join(texts)).hexdigest()
-    for kernel in (spin_scan.scan_blocks, spin_scan.count_blocks):
+    for kernel in (spin_scan.scan_blocks, spin_scan.prune_blocks, spin_scan.count_blocks):
         enclosed = kernel.py_func.__closure__ or ()
         assert digest in [cell.cell_contents for cell in enclosed]
     used = {m for m in sys.modules if m.startswith("spinpipe.stages.spin_")}
