@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
+from scipy.sparse.csgraph import connected_components
 
 from spinpipe.schemas import CLUSTERS, HITS, MODELS
-from spinpipe.schemas.records import F32, I64, Cluster, Hits, Vector
+from spinpipe.schemas.records import F32, I64, Cluster, Hits, ObjectModel, Vector
 from spinpipe.stages.candidates import vector
 from spinpipe.stages.delaunay import delaunay_components
 from spinpipe.stages.stage import Context, Section
@@ -31,16 +32,16 @@ class Clustering:
 
         method: Literal["suppression", "delaunay"] = Field(
             "suppression",
-            description="suppression: the best hit of any model within max_edge_m, for things "
-            "that stand close together; delaunay: components of the tessellation of each model's "
-            "hits, as in the paper",
+            description="suppression: the best hit within max_edge_m, among models that may be "
+            "fitted to the same size, for things that stand close together; delaunay: components "
+            "of the tessellation of each model's hits, as in the paper",
         )
         max_edge_m: float | None = Field(
             None,
             gt=0,
             le=1000,
             description="reach of the best hit, or longest edge; none: 0.9 times half the narrow "
-            "side of the smallest model (suppression) or half the model's diagonal (delaunay)",
+            "side of the smallest of them (suppression) or half the model's diagonal (delaunay)",
         )
         min_hits: int | None = Field(
             None,
@@ -52,11 +53,11 @@ class Clustering:
     def run(self, ctx: Context[Config]) -> None:
         """Write the candidates of all models, numbered from 0."""
         config = ctx.config
-        sizes = {m.name: np.ptp(m.points, axis=0) for m in ctx.read(MODELS)}
+        models = list(ctx.read(MODELS))
         groups = _peaks if config.method == "suppression" else _components
         least = config.min_hits or (1 if config.method == "suppression" else 3)
         count = small = 0
-        for model, position, correlation in groups(ctx.read(HITS), sizes, config.max_edge_m):
+        for model, position, correlation in groups(ctx.read(HITS), models, config.max_edge_m):
             if len(correlation) < least:
                 small += 1
                 continue
@@ -74,9 +75,10 @@ Group = tuple[str, Vector, F32]
 
 
 def _components(
-    messages: Iterable[Hits], sizes: dict[str, F32], reach_m: float | None
+    messages: Iterable[Hits], models: Sequence[ObjectModel], reach_m: float | None
 ) -> Iterator[Group]:
     """Delaunay components of each model's hits; the centroid is the candidate."""
+    sizes = {model.name: _size(model) for model in models}
     for hits in messages:
         longest_m = reach_m or float(np.hypot(*sizes[hits.model][:2])) / 2
         for rows in _rows_of_groups(delaunay_components(hits.points, longest_m)):
@@ -85,17 +87,36 @@ def _components(
 
 
 def _peaks(
-    messages: Iterable[Hits], sizes: dict[str, F32], reach_m: float | None
+    messages: Iterable[Hits], models: Sequence[ObjectModel], reach_m: float | None
 ) -> Iterator[Group]:
-    """Hits of all models that no better one is near to; best first."""
-    found = list(messages)
-    points = np.concatenate([hits.points for hits in found])
-    correlation = np.concatenate([hits.correlation for hits in found])
-    model = np.repeat([hits.model for hits in found], [len(hits.points) for hits in found])
-    narrow_m = min(float(min(size[0], size[1])) / 2 for size in sizes.values())
-    peaks, members = suppress(points, correlation, reach_m or PEAK_HALF_WIDTHS * narrow_m)
-    for peak, rows in zip(peaks, _rows_of_groups(members), strict=True):
-        yield str(model[peak]), vector(points[peak]), correlation[rows]
+    """Hits that no better one is near to, of a model or of any like it; best first."""
+    found = {hits.model: hits for hits in messages}
+    for family in _families(models):
+        members = [found[model.name] for model in family]
+        points = np.concatenate([hits.points for hits in members])
+        correlation = np.concatenate([hits.correlation for hits in members])
+        name = np.repeat([hits.model for hits in members], [len(hits.points) for hits in members])
+        narrow_m = min(float(_size(model)[:2].min()) / 2 for model in family)
+        peaks, owner = suppress(points, correlation, reach_m or PEAK_HALF_WIDTHS * narrow_m)
+        for peak, rows in zip(peaks, _rows_of_groups(owner), strict=True):
+            yield str(name[peak]), vector(points[peak]), correlation[rows]
+
+
+def _families(models: Sequence[ObjectModel]) -> list[list[ObjectModel]]:
+    """Models that may be fitted to the same size, directly or through others, together."""
+    size = np.array([_size(model) for model in models])
+    stretch = np.array([model.stretch for model in models])[:, None]
+    low, high = size * (1.0 - stretch), size * (1.0 + stretch)
+    alike = np.all((low[:, None] <= high) & (high[:, None] >= low), axis=2)
+    family = connected_components(alike, directed=False)[1]
+    return [
+        [model for model, own in zip(models, family, strict=True) if own == number]
+        for number in np.unique(family)
+    ]
+
+
+def _size(model: ObjectModel) -> F32:
+    return np.ptp(model.points, axis=0)
 
 
 def _rows_of_groups(members: I64) -> list[I64]:

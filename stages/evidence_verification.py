@@ -29,9 +29,9 @@ from spinpipe.stages.recognition import (
 T = TypeVar("T")
 R = TypeVar("R")
 
-BYTES_A_POINT = 400
-"""Generous upper bound of the memory that one point of a block takes."""
-LARGEST_BLOCK_REACHES = 8.0
+BLOCK_REACHES = 2.0
+"""Side of a block of candidates, in reaches: it follows from the models alone, because candidates
+of one block are thinned together."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,6 @@ def verify_by_evidence(
     rng: np.random.Generator,
     *,
     threads: int,
-    memory_bytes: int,
     map_blocks: Callable[[Callable[[I64], Hypotheses], Iterable[I64]], Iterator[Hypotheses]],
     advance: Callable[[int], None],
 ) -> Iterator[tuple[Detection, FitTrace | None]]:
@@ -63,7 +62,7 @@ def verify_by_evidence(
     sampling : of the cloud.
     rules : when to accept.
     rng : draws the surface of mesh models.
-    threads, memory_bytes : limits, which never change a result.
+    threads : of the kernels; never changes a result.
     map_blocks : maps a function over blocks of candidates, in order.
     advance : told how many more candidates are examined.
     """
@@ -82,7 +81,7 @@ def verify_by_evidence(
     examiner = Examiner(objects, sampling)
     task = _BlockTask(examiner, candidates.cloud, places, threads)
     found: list[Hypotheses] = []
-    rows_of_blocks = list(blocks(places, _block_m(examiner, sampling, memory_bytes)))
+    rows_of_blocks = list(blocks(places, BLOCK_REACHES * examiner.reach_m))
     for rows, table in zip(
         rows_of_blocks, map_blocks(partial(_examine, task), rows_of_blocks), strict=True
     ):
@@ -101,13 +100,6 @@ def _examine(task: _BlockTask, rows: I64) -> Hypotheses:
     reach = np.array([task.examiner.reach_m, task.examiner.reach_m, np.inf])
     points = task.cloud.inside(places.min(axis=0) - reach, places.max(axis=0) + reach)
     return task.examiner.examine(points, places, task.threads)
-
-
-def _block_m(examiner: Examiner, sampling: Sampling, memory_bytes: int) -> float:
-    """Side of a block: large against its border, as far as a quarter of the memory allows."""
-    most = memory_bytes / 4 / BYTES_A_POINT
-    widest = np.sqrt(most / sampling.density) - 2.0 * examiner.reach_m
-    return float(np.clip(widest, examiner.reach_m, LARGEST_BLOCK_REACHES * examiner.reach_m))
 
 
 def _detection(candidates: Candidates, cluster: Cluster, verdict: Verdict) -> Detection:

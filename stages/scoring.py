@@ -27,6 +27,8 @@ SWALLOWED = 0.6
 """Credit for surface without any return, where ground is seen all around: dark paint and glass."""
 UNJUDGED = 0.3
 """Sides are believed in unless what contradicts them is more than this share of them."""
+STANDS = 0.125
+"""How far off the ground a base may be, as a share of the height: kerbs, slopes, cut models."""
 EVEN = 0.4
 """Product of the parts at which a hypothesis is as likely right as wrong."""
 STEEPNESS = 4.0
@@ -64,8 +66,8 @@ def score_parts(
     scene = np.clip((share - shell_share) / (1.0 - shell_share), 0.0, 1.0)
     # uniform over the gate, residuals have a standard deviation of gate / sqrt(3)
     residual = 1.0 - np.minimum(3.0 * (column["rms_m"] / limits.gate_m) ** 2, 1.0)
-    tolerated = np.maximum(limits.sharp_m, 0.15 * height_m)
-    stands = np.clip(2.0 - np.abs(above_ground_m) / tolerated, 0.0, 1.0)
+    # many points make the ground, so its height is known much better than the noise of one
+    stands = np.clip(2.0 - np.abs(above_ground_m) / (STANDS * height_m), 0.0, 1.0)
     return np.stack(
         [model, sides, scene, np.sqrt(residual), np.sqrt(column["drop"]), stands], axis=1
     )

@@ -102,7 +102,6 @@ def _verified(
             Rules(config.min_score, config.min_observed, config.min_margin),
             ctx.rng,
             threads=ctx.threads,
-            memory_bytes=ctx.memory_bytes,
             map_blocks=ctx.map,
             advance=progress.advance,
         )
