@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-POINTS_PER_CELL = 64
+POINTS_PER_CELL = 128
 """Aim of the side of a cell unless given."""
 
 PAD = 64
