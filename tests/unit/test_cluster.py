@@ -56,7 +56,7 @@ def hits(model: str, *rows: tuple[float, float, float, float]) -> Hits:
 
 def clusters(models: list[ObjectModel], found: list[Hits], **config: Any) -> list[Cluster]:
     tables = Tables(models, found, **config)
-    Clustering().run(tables)  # type: ignore[arg-type]
+    Clustering().run(tables)
     return tables.clusters
 
 
