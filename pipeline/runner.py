@@ -77,7 +77,7 @@ class Runner:
                 self._require_unchanged(step)
                 result = read_metadata(self._folder.mcap(step.stage.name), "result")
                 report.seconds = float(result["seconds"])
-                report.notes = json.loads(result["notes"])
+                report.notes = json.loads(result.get("notes", "[]"))
             on_stage(step.stage.name)
         return reports
 

@@ -29,8 +29,9 @@ UNJUDGED = 0.3
 """Sides are believed in unless what contradicts them is more than this share of them."""
 STANDS = 0.125
 """How far off the ground a base may be, as a share of the height: kerbs, slopes, cut models."""
-EVEN = 0.4
-"""Product of the parts at which a hypothesis is as likely right as wrong."""
+EVEN = 0.37
+"""Product of the parts at which a hypothesis is as likely right as wrong: between right fits at the
+largest noise that leaves anything to see and the fits of a similar model at little noise."""
 STEEPNESS = 4.0
 """Slope of the score there, in powers of the product."""
 
@@ -63,7 +64,8 @@ def score_parts(
     sides = sides / (sides + column["side_contradicted"])
     claimed = column["claimed"]
     share = np.divide(column["explained"], claimed, out=np.zeros_like(shown), where=claimed > 0)
-    scene = np.clip((share - shell_share) / (1.0 - shell_share), 0.0, 1.0)
+    # a gate as wide as the body leaves nothing that could be told from chance
+    scene = np.clip((share - shell_share) / max(1.0 - shell_share, 1e-9), 0.0, 1.0)
     # uniform over the gate, residuals have a standard deviation of gate / sqrt(3)
     residual = 1.0 - np.minimum(3.0 * (column["rms_m"] / limits.gate_m) ** 2, 1.0)
     # many points make the ground, so its height is known much better than the noise of one

@@ -361,6 +361,11 @@ def test_a_broken_program_says_so_in_one_line(cli: Cli, yard_run: YardRun) -> No
 # From here on with processes of their own, that really die.
 
 
+def heed_ctrl_c() -> None:
+    """A shell that puts the tests in the background lets its children ignore SIGINT."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def start(run: YardRun) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [
@@ -370,6 +375,7 @@ def start(run: YardRun) -> subprocess.Popen[str]:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        preexec_fn=heed_ctrl_c,
     )
 
 
