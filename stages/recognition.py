@@ -14,19 +14,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.stages.hypotheses import (
-    EVIDENCE,
-    Tolerance,
-    coarse_poses,
-    refine_poses,
-    shell_share,
-    tolerance,
-)
+from spinpipe.stages.hypotheses import EVIDENCE, coarse_poses, refine_poses
 from spinpipe.stages.model_field import ModelField
 from spinpipe.stages.registration import POSE
 from spinpipe.stages.resolve import resolve
 from spinpipe.stages.scoring import PARTS, score, score_parts
 from spinpipe.stages.surroundings import Sampling, Surroundings, build_surroundings
+from spinpipe.stages.tolerance import Tolerance, shell_share, tolerance
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]

@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.stages.hypotheses import EVIDENCE, Tolerance
+from spinpipe.stages.hypotheses import EVIDENCE
+from spinpipe.stages.tolerance import Tolerance
 
 F64 = NDArray[np.float64]
 
