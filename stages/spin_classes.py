@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.stages.spin_count import BUFFER
+from spinpipe.stages.spin_count import BUFFER, idle_lanes
 from spinpipe.stages.spin_gather import LANES, fill, inner
 
 MAX_SHIFT_BINS = 3.0
@@ -46,7 +46,8 @@ class Classes(NamedTuple):
 class TestScratch(NamedTuple):
     """Memory of one thread for tests: of the largest grid and the widest group."""
 
-    numbers: NDArray[np.uint32]
+    numbers: NDArray[np.int32]
+    lanes: NDArray[np.int32]
     tallies: NDArray[np.uint32]
     middle: NDArray[np.float32]
     value: NDArray[np.float32]
@@ -88,7 +89,8 @@ def make_test_scratch(sizes: NDArray[np.int32]) -> TestScratch:
         half = max(half, int(widest.half))
     rows = int(sizes[:, 0].max())
     return TestScratch(
-        np.empty(BUFFER, np.uint32),
+        np.empty(BUFFER, np.int32),
+        idle_lanes(),
         np.empty((COPIES, tallies + LANES), np.uint32),
         np.empty((rows, half), np.float32),
         np.empty((rows, 2 * half), np.float32),
@@ -99,7 +101,7 @@ def make_test_scratch(sizes: NDArray[np.int32]) -> TestScratch:
 
 
 @inner
-def _number_classes(x, y, z, mx, my, mz, reach_sq, scale, bottom, classes, numbers):
+def _number_classes(x, y, z, mx, my, mz, reach_sq, scale, bottom, classes, lanes, numbers):
     """Class number of each point, past the last class for those out of reach (vectorised)."""
     d, e, base, half = classes.d, classes.e, classes.base, classes.half
     shift_col, shift_row = np.float32(classes.shift_col), np.float32(classes.shift_row)
@@ -114,7 +116,7 @@ def _number_classes(x, y, z, mx, my, mz, reach_sq, scale, bottom, classes, numbe
         row = np.int32(u + e) + np.int32(u - e) - base
         number = row * (half + half) + (col & np.int32(1)) * half + (col >> np.int32(1))
         inside = (a2 < reach_sq) & (u + e >= shift_row) & (u - e < bottom)
-        numbers[i] = np.uint32(number if inside else outside + np.int32(i & (LANES - 1)))
+        numbers[i] = number if inside else outside + lanes[i]
 
 
 @inner
@@ -131,13 +133,13 @@ def count_classes(near, begin, end, mx, my, mz, reach_sq, bins, classes, scratch
         numbers = scratch.numbers[:whole]
         _number_classes(
             near.x[at : at + whole], near.y[at : at + whole], near.z[at : at + whole],
-            mx, my, mz, reach_sq, bins.scale, bottom, classes, numbers,
+            mx, my, mz, reach_sq, bins.scale, bottom, classes, scratch.lanes, numbers,
         )  # fmt: skip
         for j in range(0, n // 2 * 2, 2):
-            t0[numbers[j]] += np.uint32(1)
-            t1[numbers[j + 1]] += np.uint32(1)
+            t0[np.uint32(numbers[j])] += np.uint32(1)
+            t1[np.uint32(numbers[j + 1])] += np.uint32(1)
         if n % 2:
-            t0[numbers[n - 1]] += np.uint32(1)
+            t0[np.uint32(numbers[n - 1])] += np.uint32(1)
     total = np.int64(0)
     for i in range(size):
         t0[i] += t1[i]

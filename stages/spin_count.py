@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.stages.spin_gather import LANES, depth_window, fill, inner
+from spinpipe.stages.spin_gather import LANES, depth_window, fill, inlined, inner
 from spinpipe.stages.spin_image import FLAT_VARIANCE
 
 BUFFER = 1024
@@ -36,36 +36,49 @@ class Templates(NamedTuple):
     """Grids and templates as arrays.
 
     ``numbers`` (G, 3) float32: radius_sq, height and bins_per_m of each grid; ``sizes`` (G, 2)
-    int32: rows and cols; ``grid_of`` (T,) int64; ``weights`` (T, widest k) float64, of sum 1;
-    ``values`` (T, widest k) float64: weights times unit values; ``least`` (T,) float32: least
-    correlation of a hit.
+    int32: rows and cols; ``first`` (G + 1,) int64: first template of each grid; ``alike`` (T,):
+    whether a template has the grid and the weights of the one before; ``weights`` (T, widest k)
+    float64, of sum 1; ``values`` (T, widest k) float64: weights times unit values; ``least`` (T,)
+    float32: least correlation of a hit.
     """
 
     numbers: NDArray[np.float32]
     sizes: NDArray[np.int32]
-    grid_of: NDArray[np.int64]
+    first: NDArray[np.int64]
+    alike: NDArray[np.bool_]
     weights: NDArray[np.float64]
     values: NDArray[np.float64]
     least: NDArray[np.float32]
 
 
 class Scratch(NamedTuple):
-    """Memory of one thread, used again for every origin."""
+    """Memory of one thread, used again for every origin.
 
-    numbers: NDArray[np.uint16]
+    ``lanes`` (BUFFER,) is 0 .. LANES - 1 over and over: read, not computed from a loop's counter,
+    whose 64 bits would halve the vectors.
+    """
+
+    numbers: NDArray[np.int32]
+    lanes: NDArray[np.int32]
     counts: NDArray[np.uint32]
     image: NDArray[np.uint32]
     sums: NDArray[np.float64]
+
+
+def idle_lanes() -> NDArray[np.int32]:
+    """Make what spreads the points that do not count over idle counters, see ``Scratch``."""
+    return np.arange(BUFFER, dtype=np.int32) % np.int32(LANES)
 
 
 def make_scratch(sizes: NDArray[np.int32]) -> Scratch:
     """Allocate one thread's memory for grids of these (rows, cols)."""
     k = int(sizes.prod(axis=1).max())
     return Scratch(
-        np.empty(BUFFER, np.uint16),
+        np.empty(BUFFER, np.int32),
+        idle_lanes(),
         np.empty((COPIES, k + LANES), np.uint32),
         np.empty(k, np.uint32),
-        np.empty((3, k)),
+        np.empty((2, k)),
     )
 
 
@@ -77,7 +90,7 @@ def grid_bins(templates, g):
 
 
 @inner
-def _bin_points(x, y, z, ox, oy, oz, bins, numbers):
+def _bin_points(x, y, z, ox, oy, oz, bins, lanes, numbers):
     """Find each point's bin number, beyond the bins for those outside the image (vectorised)."""
     radius_sq, height, scale, cols = bins.radius_sq, bins.height, bins.scale, bins.cols
     outside = bins.rows * cols
@@ -88,7 +101,7 @@ def _bin_points(x, y, z, ox, oy, oz, bins, numbers):
         a2 = dx * dx + dy * dy
         number = np.int32(depth * scale) * cols + np.int32(np.sqrt(a2) * scale)
         inside = (a2 < radius_sq) & (depth > np.float32(0)) & (depth < height)
-        numbers[j] = np.uint16(number if inside else outside + np.int32(j & (LANES - 1)))
+        numbers[j] = number if inside else outside + lanes[j]
 
 
 @inner
@@ -97,15 +110,15 @@ def _count_numbers(numbers, counts):
     h0, h1, h2, h3 = counts[0], counts[1], counts[2], counts[3]
     whole = len(numbers) // 4 * 4
     for j in range(0, whole, 4):
-        h0[numbers[j]] += np.uint32(1)
-        h1[numbers[j + 1]] += np.uint32(1)
-        h2[numbers[j + 2]] += np.uint32(1)
-        h3[numbers[j + 3]] += np.uint32(1)
+        h0[np.uint32(numbers[j])] += np.uint32(1)  # unsigned: no look for negative indices
+        h1[np.uint32(numbers[j + 1])] += np.uint32(1)
+        h2[np.uint32(numbers[j + 2])] += np.uint32(1)
+        h3[np.uint32(numbers[j + 3])] += np.uint32(1)
     for j in range(whole, len(numbers)):
-        h0[numbers[j]] += np.uint32(1)
+        h0[np.uint32(numbers[j])] += np.uint32(1)
 
 
-@inner
+@inlined
 def count_origin(near, ox, oy, oz, bins, scratch):
     """Count one origin's spin image into ``scratch.image``; return the points visited."""
     begin, end = depth_window(near, oz, oz, bins.height)
@@ -121,7 +134,7 @@ def count_origin(near, ox, oy, oz, bins, scratch):
         whole = (n + LANES - 1) // LANES * LANES
         _bin_points(
             near.x[at : at + whole], near.y[at : at + whole], near.z[at : at + whole],
-            ox, oy, oz, bins, scratch.numbers[:whole],
+            ox, oy, oz, bins, scratch.lanes, scratch.numbers[:whole],
         )  # fmt: skip
         _count_numbers(scratch.numbers[:n], counts)
     h0, h1, h2, h3 = counts[0], counts[1], counts[2], counts[3]
@@ -131,34 +144,57 @@ def count_origin(near, ox, oy, oz, bins, scratch):
 
 
 @inner
-def _pearson(image, weights, values, sums):
-    """Correlation of counts with a template, see ``spin_image.correlation``.
-
-    ``weights`` (k,) sum to 1; ``values`` (k,) are weights times the template's unit values. The
-    sums are taken pairwise, in an order that no machine's vectors change; ``sums`` (3, k) float64
-    is scratch.
-    """
-    k = len(weights)
-    mean, square, product = sums[0], sums[1], sums[2]
-    for i in range(k):
-        c = np.float64(image[i])
-        wc = weights[i] * c
-        mean[i] = wc
-        square[i] = wc * c
-        product[i] = values[i] * c
+def _pairwise_sum(terms, k):
+    """Sum of ``terms[:k]``, which it uses up, in an order that no machine's vectors change."""
     while k > 1:
         half = (k + 1) >> 1
         for i in range(k - half):
-            mean[i] += mean[i + half]
-        for i in range(k - half):
-            square[i] += square[i + half]
-        for i in range(k - half):
-            product[i] += product[i + half]
+            terms[i] += terms[i + half]
         k = half
-    variance = square[0] - mean[0] * mean[0]
-    if variance <= FLAT_VARIANCE * square[0]:
-        return np.float32(0)
-    return np.float32(min(max(product[0] / np.sqrt(variance), -1.0), 1.0))
+    return terms[0]
+
+
+@inner
+def _deviation(image, weights, terms, squares):
+    """Weighted standard deviation of counts; 0 if they are constant where they are weighted."""
+    k = len(weights)
+    for i in range(k):
+        c = np.float64(image[i])
+        wc = weights[i] * c
+        terms[i] = wc
+        squares[i] = wc * c
+    mean, square = _pairwise_sum(terms, k), _pairwise_sum(squares, k)
+    variance = square - mean * mean
+    return np.sqrt(variance) if variance > FLAT_VARIANCE * square else 0.0
+
+
+@inner
+def _product(image, values, terms):
+    """Sum of counts times values."""
+    for i in range(len(values)):
+        terms[i] = values[i] * np.float64(image[i])
+    return _pairwise_sum(terms, len(values))
+
+
+@inner
+def correlate_counted(templates, g, wanted, scratch, out):
+    """Correlate the image just counted with the wanted templates of grid ``g`` into ``out`` (T,).
+
+    See ``spin_image.correlation``; templates of equal weights share the image's deviation.
+    """
+    k = np.int64(templates.sizes[g, 0]) * templates.sizes[g, 1]
+    deviation = -1.0
+    for t in range(templates.first[g], templates.first[g + 1]):
+        if not templates.alike[t]:
+            deviation = -1.0
+        if wanted[t]:
+            if deviation < 0:
+                weights = templates.weights[t, :k]
+                deviation = _deviation(scratch.image, weights, scratch.sums[0], scratch.sums[1])
+            out[t] = np.float32(0)
+            if deviation > 0:
+                product = _product(scratch.image, templates.values[t, :k], scratch.sums[0])
+                out[t] = np.float32(min(max(product / deviation, -1.0), 1.0))
 
 
 @inner
@@ -166,16 +202,20 @@ def correlate_origin(near, ox, oy, oz, templates, wanted, scratch, out):
     """Correlate one origin with the wanted templates into ``out`` (T,); return the visits."""
     visits = 0
     for g in range(len(templates.sizes)):
-        seen = np.int64(-1)
-        for t in range(len(wanted)):
-            if wanted[t] and templates.grid_of[t] == g:
-                bins = grid_bins(templates, g)
-                k = np.int64(bins.rows) * bins.cols
-                if seen < 0:
-                    seen = count_origin(near, ox, oy, oz, bins, scratch)
-                    visits += seen
-                out[t] = np.float32(0)
-                if seen > 0:
-                    weights, values = templates.weights[t, :k], templates.values[t, :k]
-                    out[t] = _pearson(scratch.image, weights, values, scratch.sums)
+        if wants_grid(templates, wanted, g):
+            seen = count_origin(near, ox, oy, oz, grid_bins(templates, g), scratch)
+            visits += seen
+            if seen > 0:
+                correlate_counted(templates, g, wanted, scratch, out)
+            else:
+                fill(out[templates.first[g] : templates.first[g + 1]], np.float32(0))
     return visits
+
+
+@inner
+def wants_grid(templates, wanted, g):
+    """Tell whether a wanted template has grid ``g``."""
+    for t in range(templates.first[g], templates.first[g + 1]):  # noqa: SIM110 (no generators here)
+        if wanted[t]:
+            return True
+    return False

@@ -25,6 +25,15 @@ inner = njit(
 )
 """Compiles what only other kernels call; ``spin_scan`` caches the outermost ones."""
 
+inlined = njit(
+    nogil=True,
+    error_model="numpy",
+    no_cpython_wrapper=True,
+    no_cfunc_wrapper=True,
+    forceinline=True,
+)
+"""The same for what is called at every origin."""
+
 LANES = 16
 """Points handled at once by the vectorised loops; runs are read in whole multiples."""
 SLACK = 1e-5
@@ -52,13 +61,15 @@ class IndexArrays(NamedTuple):
 class Nearby(NamedTuple):
     """Points that a block of origins can reach, ordered by buckets of depth.
 
-    ``first[i]`` is the first point of bucket i; bucket ``int((top - z) * per_m)``.
+    ``first[i]`` is the first point of bucket i, ``lowest[i]`` the least height in it; bucket
+    ``int((top - z) * per_m)``.
     """
 
     x: NDArray[np.float32]
     y: NDArray[np.float32]
     z: NDArray[np.float32]
     first: NDArray[np.int64]
+    lowest: NDArray[np.float32]
     top: np.float32
     per_m: np.float32
 
@@ -169,7 +180,7 @@ def _number_buckets(x, y, z, box, radius_sq, per_m, numbers):
         dx = max(max(x0 - x[j], x[j] - x1), zero)
         dy = max(max(y0 - y[j], y[j] - y1), zero)
         bucket = np.int32(min((top - z[j]) * per_m, last))
-        numbers[j] = np.uint16(bucket if dx * dx + dy * dy < radius_sq else BUCKETS)
+        numbers[j] = bucket if dx * dx + dy * dy < radius_sq else np.int32(BUCKETS)
 
 
 @inner
@@ -185,6 +196,8 @@ def gather(index, box, radius_sq, height, origins):
     for axis in range(3):
         fill(near[axis, total:], np.float32(0))
     first = np.empty(BUCKETS + 2, np.int64)
+    lowest = np.empty(BUCKETS + 1, np.float32)
+    fill(lowest, np.float32(np.inf))
     n = 0
     if origins < ORDER_FROM:  # one bucket holds all
         for r in range(found):
@@ -194,9 +207,9 @@ def gather(index, box, radius_sq, height, origins):
                 n += 1
         fill(first, total)
         first[0] = 0
-        return Nearby(u, v, w, first[: BUCKETS + 1], box[5], np.float32(0))
+        return Nearby(u, v, w, first[: BUCKETS + 1], lowest, box[5], np.float32(0))
     per_m = np.float32((BUCKETS - 1) / (np.float64(box[5]) - np.float64(box[4]) + height))
-    numbers = np.empty(total + PAD, np.uint16)
+    numbers = np.empty(total + PAD, np.int32)
     for r in range(found):
         begin, end = runs[0, r], runs[1, r]
         whole = (end - begin + LANES - 1) // LANES * LANES
@@ -207,26 +220,30 @@ def gather(index, box, radius_sq, height, origins):
         n += end - begin
     fill(first, 0)
     for j in range(total):
-        first[np.uint64(numbers[j]) + np.uint64(1)] += 1
+        first[np.uint32(numbers[j]) + np.uint32(1)] += 1
     for bucket in range(1, BUCKETS + 2):
         first[bucket] += first[bucket - 1]
     place = first.copy()
     n = 0
     for r in range(found):
         for j in range(runs[0, r], runs[1, r]):
-            to = np.uint64(place[numbers[n]])
-            place[numbers[n]] += 1
+            bucket = np.uint32(numbers[n])
+            to = np.uint64(place[bucket])
+            place[bucket] += 1
+            lowest[bucket] = min(lowest[bucket], z[j])
             u[to], v[to], w[to] = x[j], y[j], z[j]
             n += 1
-    return Nearby(u, v, w, first[: BUCKETS + 1], box[5], per_m)
+    return Nearby(u, v, w, first[: BUCKETS + 1], lowest, box[5], per_m)
 
 
-@inner
+@inlined
 def depth_window(near, low, high, height):
     """Find the gathered points that hold all an origin between ``low`` and ``high`` can see."""
     if near.per_m == 0:  # not ordered
         return near.first[0], near.first[BUCKETS]
     last = np.float32(BUCKETS - 1)
     begin = np.int64(min((near.top - high) * near.per_m, last))
+    if not high - near.lowest[begin] > np.float32(0):  # level ground: none of them is below
+        begin += 1
     end = np.int64(min((near.top - low + height) * near.per_m, last)) + 2  # one for rounding
     return near.first[begin], near.first[min(end, BUCKETS)]

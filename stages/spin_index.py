@@ -76,7 +76,7 @@ def build_index(points: NDArray[Any], cell_m: float | None = None) -> SpinIndex:
     cloud = np.asarray(points, dtype=np.float32).reshape(-1, 3)
     if not np.isfinite(cloud).all():
         raise ValueError("build_index: the cloud holds NaN or infinite coordinates; drop them")
-    side = cell_m or _cell_from_density(cloud)
+    side = cell_m or side_for(cloud, POINTS_PER_CELL)
     if len(cloud) == 0:
         return SpinIndex(
             xyz=np.zeros((3, PAD), np.float32),
@@ -151,13 +151,16 @@ def _ascending(values: NDArray[np.float32]) -> NDArray[np.uint32]:
     return bits ^ (negative | np.uint32(2**31))
 
 
-def _cell_from_density(cloud: NDArray[np.float32]) -> float:
-    """Side of a cell in metres, from the middle nine tenths along x and y: outliers are ignored."""
+def side_for(cloud: NDArray[np.float32], points: float) -> float:
+    """Side of a square that holds about so many points of a cloud, metres.
+
+    Measured in the middle nine tenths along x and y: outliers are ignored.
+    """
     if len(cloud) == 0:
         return 1.0
     sample = cloud[:: max(1, len(cloud) // 10_000), :2].astype(np.float64)
     low, high = np.quantile(sample, [0.05, 0.95], axis=0)
     width, depth = high - low
-    share = POINTS_PER_CELL / len(cloud)
+    share = points / len(cloud)
     side = max(np.sqrt(width * depth * share / 0.81), max(width, depth) * share / 0.9)
     return float(side) if side > 0 else 1.0

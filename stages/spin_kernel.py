@@ -21,7 +21,7 @@ from spinpipe.stages.spin_classes import make_test_scratch
 from spinpipe.stages.spin_count import Templates, make_scratch
 from spinpipe.stages.spin_gather import IndexArrays
 from spinpipe.stages.spin_image import SpinGrid, SpinTemplate
-from spinpipe.stages.spin_index import SpinIndex, build_index, sort_by_cell
+from spinpipe.stages.spin_index import SpinIndex, build_index, side_for, sort_by_cell
 from spinpipe.stages.spin_scan import count_blocks, prune_blocks, scan_blocks
 
 __all__ = ["BELOW", "ScanWork", "SpinIndex", "build_index", "correlate", "histograms"]
@@ -31,6 +31,9 @@ BELOW = np.float32(-1)
 
 CHUNK_ORIGINS = 8192
 """Origins handed to a thread at once."""
+
+SHARING = 64
+"""Origins of a block among which the cost of gathering is small."""
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -115,13 +118,15 @@ def correlate(
     grids = list(dict.fromkeys(t.grid for t in templates))
     radius = max((g.radius_m for g in grids), default=1.0)
     if min_correlation is None:
-        blocks = OriginBlocks.of(origins, radius / 5, 256)
+        blocks = OriginBlocks.of(origins, radius / 5, 256, widest_m=radius / 2.5)
     else:
         blocks = OriginBlocks.of(origins, radius / 3.5, 4096)
     found = np.full((len(templates), len(blocks.order)), BELOW)
     if not templates:
         return found
-    arrays, tables = _arrays(index), _tables(templates, grids, min_correlation)
+    rows = sorted(range(len(templates)), key=lambda row: grids.index(templates[row].grid))
+    tables = _tables([templates[row] for row in rows], grids, min_correlation)
+    arrays = _arrays(index)
 
     def scan(chunk: tuple[int, int]) -> tuple[int, NDArray[np.int64]]:
         first, last = chunk
@@ -143,7 +148,7 @@ def correlate(
             work.scanned += int(scanned)
         if advance is not None:
             advance(count)
-    return found
+    return found if len(grids) == 1 else found[np.argsort(rows)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,13 +170,20 @@ class OriginBlocks:
     start: NDArray[np.int64]
 
     @classmethod
-    def of(cls, origins: NDArray[Any], side_m: float, most: int) -> OriginBlocks:
-        """Group origins by squares of ``side_m``, at most ``most`` of like height together."""
+    def of(
+        cls, origins: NDArray[Any], side_m: float, most: int, widest_m: float = 0.0
+    ) -> OriginBlocks:
+        """Group origins by squares of ``side_m``, at most ``most`` of like height together.
+
+        Where origins are sparse the squares grow up to ``widest_m``, so that enough of them share
+        what is gathered for them.
+        """
         points = np.ascontiguousarray(np.asarray(origins, dtype=np.float32).reshape(-1, 3))
         if not np.isfinite(points).all():
             raise ValueError("scan: origins hold NaN or infinite coordinates; drop them")
         if len(points) == 0:
             return cls(points, np.zeros(0, np.int64), np.zeros(1, np.int64))
+        side_m = max(side_m, min(side_for(points, SHARING), widest_m))
         order, square, *_ = sort_by_cell(points, side_m)
         fresh = np.r_[True, square[1:] != square[:-1]]
         first = np.flatnonzero(fresh)
@@ -229,17 +241,21 @@ def _arrays(index: SpinIndex) -> IndexArrays:
 def _tables(
     templates: Sequence[SpinTemplate], grids: Sequence[SpinGrid], least: float | None
 ) -> Templates:
-    """Grids and templates as arrays for the kernels."""
+    """Grids and templates, in the order of their grids, as arrays for the kernels."""
     widest = max(g.k for g in grids)
     weights, values = np.zeros((2, len(templates), widest))
     for row, template in enumerate(templates):
         w = template.unit_weights()
         weights[row, : len(w)] = w
         values[row, : len(w)] = w * template.unit_values()
+    grid_of = np.array([grids.index(t.grid) for t in templates], np.int64)
+    alike = np.zeros(len(templates), np.bool_)
+    alike[1:] = (grid_of[1:] == grid_of[:-1]) & (weights[1:] == weights[:-1]).all(axis=1)
     return Templates(
         np.array([[g.radius_sq, g.height, g.bins_per_m] for g in grids], np.float32),
         np.array([g.shape for g in grids], np.int32),
-        np.array([grids.index(t.grid) for t in templates], np.int64),
+        np.searchsorted(grid_of, np.arange(len(grids) + 1)),
+        alike,
         weights,
         values,
         np.full(len(templates), BELOW if least is None else least, np.float32),

@@ -28,7 +28,7 @@ from spinpipe.stages.spin_classes import (
     mean_image,
     widened,
 )
-from spinpipe.stages.spin_count import correlate_origin, grid_bins
+from spinpipe.stages.spin_count import correlate_origin, grid_bins, wants_grid
 from spinpipe.stages.spin_gather import depth_window, fill, inner
 
 LIFT_WEIGHT = 6.0
@@ -132,7 +132,7 @@ def search_group(near, origins, members, templates, scratch, tests, found, work)
     ``found`` (T, M) receives correlations of at least ``templates.least``; ``work`` (3,) counts
     visits, tests and origins scanned.
     """
-    T = len(templates.grid_of)
+    T = len(templates.least)
     ranges = np.empty((STACK, 2), np.int64)
     limits = np.empty(STACK)
     alive = np.empty((STACK, T), np.bool_)
@@ -194,15 +194,6 @@ def _any(flags):
 
 
 @inner
-def _wants_grid(grid_of, wanted, g):
-    """Tell whether a wanted template has grid ``g``."""
-    for t in range(len(wanted)):  # noqa: SIM110
-        if wanted[t] and grid_of[t] == g:
-            return True
-    return False
-
-
-@inner
 def _extent(box):
     """Size of a group as far as tests are concerned."""
     width = np.hypot(np.float64(box[1] - box[0]), np.float64(box[3] - box[2]))
@@ -242,7 +233,7 @@ def _test(near, box, count, limit, templates, wanted, tests, work):
     shift = np.sqrt(dx * dx + dy * dy)
     ratio = 2.0
     for g in range(len(templates.sizes)):
-        if not _wants_grid(templates.grid_of, wanted, g):
+        if not wants_grid(templates, wanted, g):
             continue
         bins = grid_bins(templates, g)
         rows, cols = np.int64(bins.rows), np.int64(bins.cols)
@@ -261,8 +252,8 @@ def _test(near, box, count, limit, templates, wanted, tests, work):
         work[1] += 1
         if total > 0:
             mean_image(classes, rows, cols, tests)
-        for t in range(len(wanted)):
-            if wanted[t] and templates.grid_of[t] == g:
+        for t in range(templates.first[g], templates.first[g + 1]):
+            if wanted[t]:
                 if total == 0:
                     wanted[t] = False
                     continue

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from spinpipe.stages.spin_count import (
-    correlate_origin,
+    correlate_counted,
     count_origin,
     grid_bins,
 )
@@ -65,18 +65,23 @@ def _kernels(sources: str):
         """
         _ = sources
         radius_sq, height = _reach(templates)
-        wanted = np.ones(len(templates.grid_of), np.bool_)
+        wanted = np.ones(len(templates.least), np.bool_)
         result = np.empty(len(wanted), np.float32)
         for block in range(len(start) - 1):
             members = order[start[block] : start[block + 1]]
             box = bounding_box(origins, members)
             near = gather(index, box, radius_sq, height, len(members))
-            for o in members:
-                x, y, z = origins[o, 0], origins[o, 1], origins[o, 2]
-                work[0] += correlate_origin(near, x, y, z, templates, wanted, scratch, result)
-                work[2] += 1
-                for t in range(len(result)):
-                    found[t, o] = result[t]
+            work[2] += len(members)
+            for g in range(len(templates.sizes)):
+                bins = grid_bins(templates, g)
+                for o in members:
+                    x, y, z = origins[o, 0], origins[o, 1], origins[o, 2]
+                    visits = count_origin(near, x, y, z, bins, scratch)
+                    work[0] += visits
+                    if visits > 0:
+                        correlate_counted(templates, g, wanted, scratch, result)
+                    for t in range(templates.first[g], templates.first[g + 1]):
+                        found[t, o] = result[t] if visits > 0 else np.float32(0)
 
     @njit(cache=True, nogil=True, error_model="numpy")
     def prune_blocks(index, origins, order, start, templates, scratch, tests, found, work):
