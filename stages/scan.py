@@ -32,6 +32,7 @@ from spinpipe.stages.spin_image import (
     template_from_cloud,
     topmost_point,
 )
+from spinpipe.stages.spin_voxel import VOXEL_RADII
 from spinpipe.stages.stage import Context, Section
 from spinpipe.stages.tile_scan import Origins, TileScan
 
@@ -44,7 +45,7 @@ class Scan:
     """Correlates the scene's spin images with those of the models."""
 
     name = "scan"
-    version = 1
+    version = 2
     inputs = (CLOUD, TILES, MODELS, UPRIGHT, SAMPLING)
     outputs = (SCORES, SPIN_IMAGES, HITS)
 
@@ -76,14 +77,17 @@ class Scan:
             "that stands there; any: every height, as in the paper",
         )
         origins: Origins = Field(
-            "all",
-            description="all: every point; voxel: one in each voxel of side bin_m first, then "
-            "every point near promising ones; subset: only one in each voxel",
+            "voxel",
+            description="voxel: one in each voxel first, then every point in and around promising "
+            "ones; all: every point; subset: only one in each voxel",
+        )
+        voxel_m: float | None = Field(
+            None, gt=0, le=1000, description="side of such a voxel; none: 1/8 of the radius"
         )
         search: Literal["exhaustive", "pruned"] = Field(
             "exhaustive",
-            description="exhaustive: the correlation of every origin; pruned: of hits only, the "
-            "same ones, without looking at places that provably hold none",
+            description="exhaustive: the correlation of every origin looked at; pruned: of hits "
+            "only, the same ones, without looking at places that provably hold none",
         )
 
     def run(self, ctx: Context[Config]) -> None:
@@ -102,7 +106,8 @@ class Scan:
             bands=bands,
             origins=ctx.config.origins,
             min_correlation=ctx.config.min_correlation,
-            exhaustive=ctx.config.search == "exhaustive",
+            voxel_m=ctx.config.voxel_m or VOXEL_RADII * grid.radius_m,
+            pruned=ctx.config.search == "pruned",
             threads=ctx.threads,
         )
         hits = _HitList(scan.models, ctx.config.min_correlation)

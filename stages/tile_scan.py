@@ -15,10 +15,11 @@ from spinpipe.stages.neighbourhood import WorldCloud
 from spinpipe.stages.spin_image import SpinTemplate
 from spinpipe.stages.spin_index import build_index
 from spinpipe.stages.spin_kernel import BELOW, correlate
-from spinpipe.stages.spin_voxel import correlate_near_promising
-from spinpipe.stages.voxels import voxel_representatives
+from spinpipe.stages.spin_voxel import correlate_coarse_to_fine, halo_m
+from spinpipe.stages.voxels import Voxels
 
 Origins = Literal["all", "voxel", "subset"]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -28,62 +29,71 @@ class TileScan:
     cloud: WorldCloud
     models: tuple[str, ...]
     templates: tuple[SpinTemplate, ...]
-    """One a model, all of one grid."""
+    """One a model."""
     bands: HeightBands | None
     """None: origins at any height."""
     origins: Origins
     min_correlation: float
-    exhaustive: bool
-    """Whether origins that are no hits are scored too."""
+    voxel_m: float
+    """Side of a voxel, unless ``origins`` is "all"."""
+    pruned: bool
+    """Whether only hits are scored."""
     threads: int
 
     def __call__(self, tile: int) -> ScoreTile:
-        """Origins of a tile with their correlations; without ``exhaustive`` only the hits.
+        """Origins of a tile with their correlations; those left out of the scan are missing.
 
         Reads as much around the tile as any of its results depends on, so the result for an
         origin does not depend on where the tile ends.
         """
-        grid = self.templates[0].grid
-        reach_m = np.sqrt(3.0) * grid.bin_m
-        margin_m = 0.0 if self.origins == "all" else reach_m + grid.bin_m
-        if self.bands:
-            around, own = self.cloud.around(
-                tile, max(grid.radius_m, self.bands.halo_m) + margin_m, np.inf, margin_m
-            )
-            eligible = self.bands.select(around)
-        else:
-            around, own = self.cloud.around(
-                tile, grid.radius_m + margin_m, grid.height_m + margin_m, margin_m
-            )
-            eligible = np.ones(len(around), bool)
-        origins = around[own & eligible]
+        around, own, eligible = self._surroundings(tile)
         index = build_index(around)
+        origins, own = around[eligible], own[eligible]
         if self.origins == "voxel":
-            near = np.all(
-                (around >= self.cloud.low[tile] - reach_m)
-                & (around <= self.cloud.high[tile] + reach_m),
-                axis=1,
-            )
-            correlation = correlate_near_promising(
+            correlation = correlate_coarse_to_fine(
                 index,
                 origins,
-                _one_in_each_voxel(around[near & eligible], around[eligible], grid.bin_m),
+                own,
                 self.templates,
                 self.threads,
                 min_correlation=self.min_correlation,
-                reach_m=float(reach_m),
+                voxel_m=self.voxel_m,
+                pruned=self.pruned,
             )
         else:
             if self.origins == "subset":
-                origins = _one_in_each_voxel(origins, around[eligible], grid.bin_m)
+                own &= Voxels.of(origins, self.voxel_m).represents()
             correlation = correlate(
                 index,
-                origins,
+                origins[own],
                 self.templates,
                 self.threads,
-                min_correlation=None if self.exhaustive else self.min_correlation,
+                min_correlation=self.min_correlation if self.pruned else None,
             )
-        return self._scores(origins, correlation.T)
+        return self._scores(origins[own], correlation.T)
+
+    def _surroundings(self, tile: int) -> tuple[F32, Mask, Mask]:
+        """Points that the tile's origins may see; which are its own; which may be origins."""
+        radius_m, height_m = self.reach
+        margin_m = 0.0 if self.origins == "all" else halo_m(self.voxel_m)
+        if self.bands:
+            reach_m = max(radius_m, self.bands.halo_m) + margin_m
+            around, own = self.cloud.around(tile, reach_m, np.inf, margin_m)
+            eligible = self.bands.select(around)
+        else:
+            below_m = height_m + margin_m
+            around, own = self.cloud.around(tile, radius_m + margin_m, below_m, margin_m)
+            eligible = np.ones(len(around), bool)
+        if self.origins == "all":
+            return around, own, eligible & own
+        low, high = self.cloud.low[tile] - margin_m, self.cloud.high[tile] + margin_m
+        return around, own, eligible & np.all((around >= low) & (around <= high), axis=1)
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Largest radius and height of all spin images, metres."""
+        grids = [template.grid for template in self.templates]
+        return max(g.radius_m for g in grids), max(g.height_m for g in grids)
 
     def _scores(self, origins: F32, correlation: NDArray[np.float32]) -> ScoreTile:
         best = correlation.max(axis=1, initial=BELOW)
@@ -94,7 +104,3 @@ class TileScan:
             np.ascontiguousarray(correlation[kept]),
             viridis(best[kept]),
         )
-
-
-def _one_in_each_voxel(points: F32, around: F32, side_m: float) -> F32:
-    return points[voxel_representatives(points, around, side_m)]

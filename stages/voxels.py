@@ -1,42 +1,84 @@
-"""One point for each voxel of the world, chosen the same way whatever the tiles are."""
+"""Voxels of the world: one point that stands for each, and which of them touch.
+
+The grid is anchored at the world's origin and nothing depends on the order of points, so a tile of
+a cloud gives what the whole cloud gives for it, away from its border.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 
-from spinpipe.schemas.records import F32, I64
+from spinpipe.schemas.records import F32, F64, I64
 
 
-def voxel_representatives(points: F32, around: F32, side_m: float) -> I64:
-    """Rows of ``points`` that represent their voxel: the nearest to its centre.
+@dataclass(frozen=True, eq=False)
+class Voxels:
+    """The voxels that points lie in.
 
-    Ties go to the lexicographically least coordinates; of equal points only the first remains.
-
-    Parameters
+    Attributes
     ----------
-    points : (N, 3) float32
-        World, metres.
-    around : (M, 3) float32
-        All points that may share a voxel with ``points``, themselves among them.
-    side_m : float
-        Side of a voxel.
-
-    Returns
-    -------
-    (R,) int64
-        Ascending.
+    key : (N,) int64
+        Voxel of each point.
+    steps : (27,) int64
+        What leads from the key of a voxel to those of itself and of the voxels that touch it.
+    representatives : (V,) int64
+        Row of one point of each voxel, ascending: the nearest to its centre, of several those of
+        the lexicographically least coordinates, of equal ones the first.
     """
-    if len(points) == 0:
-        return np.empty(0, np.int64)
-    own = np.zeros(len(around) + len(points), bool)
-    own[: len(points)] = True
-    everything = np.concatenate([points, around]).astype(np.float64)
-    voxel = np.floor(everything / side_m)
-    distance = np.sum((everything / side_m - voxel - 0.5) ** 2, axis=1)
-    # Own points come before their copies in ``around``, so that an own point wins its own tie.
-    keys = (~own, *everything.T[::-1], distance, *voxel.T[::-1])
-    order = np.lexsort(keys)
-    first = np.ones(len(order), bool)
-    first[1:] = np.any(voxel[order][1:] != voxel[order][:-1], axis=1)
-    chosen = order[first]
-    return np.sort(chosen[chosen < len(points)]).astype(np.int64)
+
+    key: I64
+    steps: I64
+    representatives: I64
+
+    @classmethod
+    def of(cls, points: F32, side_m: float) -> Voxels:
+        """Voxels of points (N, 3), world, metres; ``side_m`` is their side."""
+        if len(points) == 0:
+            return cls(np.empty(0, np.int64), np.zeros(27, np.int64), np.empty(0, np.int64))
+        place = points.astype(np.float64) / side_m
+        voxel = np.floor(place).astype(np.int64)
+        distance = np.sum((place - voxel - 0.5) ** 2, axis=1)
+        voxel -= voxel.min(axis=0) - 1
+        if np.prod((voxel.max(axis=0) + 2).astype(np.float64)) >= 2.0**62:
+            voxel = np.stack([_without_gaps(axis) for axis in voxel.T], axis=1)
+        _, ny, nz = (voxel.max(axis=0) + 2).tolist()
+        stride = np.array([ny * nz, nz, 1])
+        near = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1], [-1, 0, 1]), axis=-1).reshape(-1, 3)
+        key = voxel @ stride
+        return cls(key, near @ stride, _nearest_to_centre(points, key, distance))
+
+    def represents(self) -> NDArray[np.bool_]:
+        """(N,) whether each point represents its voxel."""
+        chosen = np.zeros(len(self.key), np.bool_)
+        chosen[self.representatives] = True
+        return chosen
+
+    def touching(self, rows: I64) -> NDArray[np.bool_]:
+        """(N,) whether each point's voxel is that of one of ``rows`` or touches it."""
+        wanted = np.unique(self.key[rows])
+        wanted = np.unique(wanted[:, None] + self.steps)
+        if len(wanted) == 0:
+            return np.zeros(len(self.key), np.bool_)
+        at = np.searchsorted(wanted, self.key)
+        return wanted[np.minimum(at, len(wanted) - 1)] == self.key
+
+
+def _without_gaps(axis: I64) -> I64:
+    """Coordinates with wide gaps made small: neighbours stay neighbours, others stay apart."""
+    values, inverse = np.unique(axis, return_inverse=True)
+    steps = np.minimum(np.diff(values, prepend=values[0] - 1), 2)
+    return np.cumsum(steps)[inverse]
+
+
+def _nearest_to_centre(points: F32, key: I64, distance: F64) -> I64:
+    order = np.argsort(key, kind="stable")
+    first = np.flatnonzero(np.diff(key[order], prepend=key[order[0]] - 1))
+    least = np.minimum.reduceat(distance[order], first)
+    count = np.diff(first, append=len(order))
+    nearest = order[distance[order] == np.repeat(least, count)]  # mostly one a voxel
+    x, y, z = points[nearest].T
+    nearest = nearest[np.lexsort((nearest, z, y, x, key[nearest]))]
+    return np.sort(nearest[np.diff(key[nearest], prepend=key[nearest[0]] - 1) != 0])

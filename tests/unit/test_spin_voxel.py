@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from spinpipe.stages.spin_image import SpinGrid, template_from_cloud
 from spinpipe.stages.spin_kernel import BELOW, ScanWork, build_index, correlate
-from spinpipe.stages.spin_voxel import correlate_near_promising
+from spinpipe.stages.spin_voxel import correlate_coarse_to_fine
 
 GRID = SpinGrid(2.0, 0.8, 0.1)
 
@@ -21,48 +22,57 @@ def dome(rng, n=6000):
     return cap, np.vstack([ground, cap + [6, 6, 0]])
 
 
-def coarse_of(cloud, side_m):
-    return cloud[np.unique(np.floor(cloud / side_m), axis=0, return_index=True)[1]]
-
-
-def test_hits_near_promising_origins_are_those_of_the_full_scan():
+def test_what_is_scored_is_scored_as_by_the_full_scan():
     model, cloud = dome(np.random.default_rng(0))
+    cloud = cloud.astype(np.float32)
     index, template = build_index(cloud), template_from_cloud(model, GRID)
     every, fine = ScanWork(), ScanWork()
     full = correlate(index, cloud, [template], work=every)[0]
     hits = full >= np.float32(0.6)
     steps = []
-    found = correlate_near_promising(
-        index, cloud, coarse_of(cloud, 0.2), [template], 2,
-        min_correlation=0.6, reach_m=0.36, advance=steps.append, work=fine,
+    found = correlate_coarse_to_fine(
+        index, cloud, np.ones(len(cloud), bool), [template], 2,
+        min_correlation=0.6, voxel_m=0.25, advance=steps.append, work=fine,
     )[0]  # fmt: skip
-    kept = found > BELOW
+    scored = found > BELOW
     assert hits.sum() > 20
-    assert not (kept & ~hits).any()
-    np.testing.assert_array_equal(found[kept], full[kept])
-    assert kept.sum() >= 0.8 * hits.sum()
+    np.testing.assert_array_equal(found[scored], full[scored])
+    assert scored[hits].mean() >= 0.95
     assert fine.visits < every.visits / 2
     assert sum(steps) == len(cloud)
 
 
-def test_every_origin_chosen_is_the_full_scan():
-    model, cloud = dome(np.random.default_rng(1), 1500)
+def test_only_what_is_asked_for_comes_back():
+    model, cloud = dome(np.random.default_rng(2), 3000)
+    cloud = cloud.astype(np.float32)
     index, template = build_index(cloud), template_from_cloud(model, GRID)
-    full = correlate(index, cloud, [template], min_correlation=0.5)
-    found = correlate_near_promising(
-        index, cloud, cloud, [template], min_correlation=0.5, reach_m=0.1, margin=0.0
+    asked = cloud[:, 0] < 6
+    whole, part = (
+        correlate_coarse_to_fine(index, cloud, own, [template], min_correlation=0.5, voxel_m=0.25)
+        for own in (np.ones(len(cloud), bool), asked)
     )
+    np.testing.assert_array_equal(part, whole[:, asked])
+
+
+def test_a_wide_margin_in_one_voxel_is_the_full_scan():
+    model, cloud = dome(np.random.default_rng(1), 1500)
+    cloud = cloud.astype(np.float32)
+    index, template = build_index(cloud), template_from_cloud(model, GRID)
+    full = correlate(index, cloud, [template])
+    found = correlate_coarse_to_fine(
+        index, cloud, np.ones(len(cloud), bool), [template],
+        min_correlation=0.1, voxel_m=100.0, margin=1.1,
+    )  # fmt: skip
     np.testing.assert_array_equal(found, full)
 
 
-def test_nothing_to_choose_from():
+@pytest.mark.parametrize("count", [0, 4])
+def test_nothing_to_find(count):
     index, template = build_index(np.zeros((5, 3))), template_from_cloud(np.eye(3), GRID)
-    for origins, coarse in [
-        (np.zeros((0, 3)), np.zeros((0, 3))),
-        (np.ones((4, 3)), np.ones((1, 3))),
-    ]:
-        found = correlate_near_promising(
-            index, origins, coarse, [template], min_correlation=0.5, reach_m=1.0
-        )
-        assert found.shape == (1, len(origins))
-        assert (found == BELOW).all()
+    origins = np.ones((count, 3), np.float32)
+    found = correlate_coarse_to_fine(
+        index, origins, np.ones(count, bool), [template],
+        min_correlation=0.5, voxel_m=1.0, pruned=True,
+    )  # fmt: skip
+    assert found.shape == (1, count)
+    assert (found == BELOW).all()

@@ -41,7 +41,7 @@ def cloud(tiles: int) -> WorldCloud:
 
 
 def scan(
-    tiles: int, origins: Origins = "all", *, exhaustive: bool = False, banded: bool = False
+    tiles: int, origins: Origins = "all", *, pruned: bool = True, banded: bool = False
 ) -> set[tuple[float, ...]]:
     bands = HeightBands.of([MODEL], Sampling(0.3, 0.005)) if banded else None
     task = TileScan(
@@ -51,7 +51,8 @@ def scan(
         bands=bands,
         origins=origins,
         min_correlation=0.5,
-        exhaustive=exhaustive,
+        voxel_m=0.3,
+        pruned=pruned,
         threads=1,
     )
     found: set[tuple[float, ...]] = set()
@@ -72,8 +73,12 @@ def test_tiles_leave_no_trace(origins: Origins, banded: bool) -> None:
     assert scan(8, origins, banded=banded) == whole
 
 
+def test_pruning_after_coarse_to_fine_finds_the_same() -> None:
+    assert scan(3, "voxel", pruned=True) == scan(3, "voxel", pruned=False)
+
+
 def test_pruning_finds_what_the_exhaustive_scan_finds() -> None:
-    assert scan(3, exhaustive=False) == scan(3, exhaustive=True)
+    assert scan(3, pruned=True) == scan(3, pruned=False)
 
 
 def test_coarse_to_fine_and_a_subset_find_no_more_than_all() -> None:
