@@ -17,6 +17,7 @@ def njit(
     nogil: bool = ...,
     parallel: bool = ...,
     inline: Literal["never", "always"] = ...,
+    forceinline: bool = ...,
     error_model: Literal["python", "numpy"] = ...,
     boundscheck: bool = ...,
     no_cpython_wrapper: bool = ...,
