@@ -7,6 +7,7 @@ model's topmost point about the vertical; scene points whose own image correlate
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -33,6 +34,7 @@ from spinpipe.stages.spin_image import (
     topmost_point,
 )
 from spinpipe.stages.spin_voxel import VOXEL_RADII
+from spinpipe.stages.spin_weights import extent_weights
 from spinpipe.stages.stage import Context, Section
 from spinpipe.stages.tile_scan import Origins, TileScan
 
@@ -68,6 +70,13 @@ class Scan:
         bin_m: float | None = Field(
             None, gt=0, le=100, description="side of a bin; none: 1/13 of the radius"
         )
+        outside_weight: float = Field(
+            1.0,
+            ge=0,
+            le=1,
+            description="weight of the bins that the model does not reach at their depth: below 1 "
+            "for things that stand closer to each other than the radius",
+        )
         min_correlation: float = Field(
             0.5, gt=0, lt=1, description="from which an origin is a hit: verification decides"
         )
@@ -94,7 +103,7 @@ class Scan:
         """Score every tile's origins, then write the spin images and the hits."""
         models = list(ctx.read(MODELS))
         grid = spin_grid(models, ctx.config)
-        templates = [template_from_cloud(model.points, grid) for model in models]
+        templates = [_template(model, grid, ctx.config.outside_weight) for model in models]
         cloud = WorldCloud.of(ctx.read(CLOUD), ctx.read_one(TILES), ctx.read_one(UPRIGHT))
         bands = None
         if ctx.config.heights == "model":
@@ -147,6 +156,13 @@ def spin_grid(models: Sequence[ObjectModel], config: Scan.Config) -> SpinGrid:
         height_m=config.height_m or HEIGHT_SHARE * min(float(size[2]) for size in sizes),
         bin_m=config.bin_m or radius_m / BINS_ALONG,
     )
+
+
+def _template(model: ObjectModel, grid: SpinGrid, outside_weight: float) -> SpinTemplate:
+    template = template_from_cloud(model.points, grid)
+    if outside_weight == 1.0:
+        return template
+    return replace(template, weights=extent_weights(template.values, outside_weight))
 
 
 def _model_image(model: ObjectModel, template: SpinTemplate) -> SpinImage:
