@@ -34,7 +34,7 @@ class Ingest:
     """Read the scene twice: once to measure it, once to sort its points into tiles."""
 
     name = "ingest"
-    version = 1
+    version = 2
     inputs = ()
     outputs = (CLOUD, TILES, SCENE, MODELS, CAMERAS)
 

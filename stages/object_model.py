@@ -15,7 +15,7 @@ from pydantic import Field, field_validator, model_validator
 from spinpipe.schemas.records import F64, ObjectModel
 from spinpipe.stages.read_ply import read_header
 from spinpipe.stages.scene_source import open_scene
-from spinpipe.stages.seen_from_above import I64, seen_from_above
+from spinpipe.stages.seen_from_above import seen_from_above, seen_from_around
 from spinpipe.stages.shapes import Mesh, face_areas_and_normals, sample_surface, transform
 from spinpipe.stages.stage import InputPath, Section, StageError
 from spinpipe.stages.vehicles import VEHICLES, vehicle_mesh
@@ -79,9 +79,9 @@ class ModelConfig(Section):
 def load_model(config: ModelConfig, rng: np.random.Generator) -> ObjectModel:
     """Read or make an object's model and bring it to the object frame.
 
-    A mesh is sampled uniformly by area; with ``visible_from = "above"`` only where the surface
-    lies open to a sensor that looks straight down [Bovenkamp 2010, section 3.2]. Of a cloud all
-    points stay: it already is what a sensor saw.
+    A mesh is sampled uniformly by area where it shows from around; with ``visible_from = "above"``
+    only where the surface lies open to a sensor that looks straight down [Bovenkamp 2010, section
+    3.2]. Of a cloud all points stay: it already is what a sensor saw.
 
     Raises
     ------
@@ -115,8 +115,7 @@ def load_model(config: ModelConfig, rng: np.random.Generator) -> ObjectModel:
     upright = Mesh(points, mesh.faces)
     if not face_areas_and_normals(*upright)[0].sum() > 0:
         raise StageError(f"{where}: its faces have no area; give a mesh with a surface")
-    draw = _sample_from_above if config.visible_from == "above" else sample_surface
-    samples, normals = draw(upright.vertices, upright.faces, config.samples, rng)
+    samples, normals = _sample_visible(upright, config, rng)
     return ObjectModel(
         name=config.name,
         points=samples.astype(np.float32),
@@ -180,16 +179,16 @@ def _direction(axis: Axis) -> F64:
     return direction
 
 
-def _sample_from_above(
-    vertices: F64, faces: I64, count: int, rng: np.random.Generator
-) -> tuple[F64, F64]:
-    """Like ``sample_surface``, but only points that lie open to the sky, on the side that shows."""
+def _sample_visible(mesh: Mesh, config: ModelConfig, rng: np.random.Generator) -> tuple[F64, F64]:
+    """Like ``sample_surface``, but only points that show, with normals to where they show."""
+    above = config.visible_from == "above"
+    shows = seen_from_above if above else seen_from_around
     points, normals = np.empty((0, 3)), np.empty((0, 3))
-    while len(points) < count:
-        batch, batch_normals = sample_surface(vertices, faces, 2 * count, rng)
-        seen = seen_from_above(batch, vertices, faces)
+    while len(points) < config.samples:
+        batch, batch_normals = sample_surface(*mesh, 2 * config.samples, rng)
+        seen = shows(batch, *mesh)
         points = np.concatenate([points, batch[seen]])
         normals = np.concatenate([normals, batch_normals[seen]])
-    # Whichever way a face is wound: from above one sees the side that is turned up
-    normals[normals[:, 2] < 0] *= -1
-    return points[:count], normals[:count]
+    if above:  # whichever way a face is wound: one sees the side that is turned up
+        normals[normals[:, 2] < 0] *= -1
+    return points[: config.samples], normals[: config.samples]

@@ -40,7 +40,9 @@ from spinpipe.stages.tile_scan import Origins, TileScan
 
 RADIUS_HALF_WIDTHS = 1.45
 HEIGHT_SHARE = 0.7
-BINS_ALONG = 13
+BINS_ALONG = 8
+BLURS = 4
+"""Noisy copies of the model whose mean image is what a noisy scene is compared with."""
 
 
 class Scan:
@@ -68,7 +70,7 @@ class Scan:
             description="reach below the top; none: 0.7 of the lowest model's height",
         )
         bin_m: float | None = Field(
-            None, gt=0, le=100, description="side of a bin; none: 1/13 of the radius"
+            None, gt=0, le=100, description="side of a bin; none: 1/8 of the radius"
         )
         outside_weight: float = Field(
             1.0,
@@ -78,7 +80,7 @@ class Scan:
             "for things that stand closer to each other than the radius",
         )
         min_correlation: float = Field(
-            0.5, gt=0, lt=1, description="from which an origin is a hit: verification decides"
+            0.6, gt=0, lt=1, description="from which an origin is a hit: verification decides"
         )
         heights: Literal["model", "any"] = Field(
             "model",
@@ -103,11 +105,15 @@ class Scan:
         """Score every tile's origins, then write the spin images and the hits."""
         models = list(ctx.read(MODELS))
         grid = spin_grid(models, ctx.config)
-        templates = [_template(model, grid, ctx.config.outside_weight) for model in models]
+        sampling = ctx.read_one(SAMPLING)
+        templates = [
+            _template(model, grid, sampling.noise_m, ctx.config.outside_weight, ctx.rng)
+            for model in models
+        ]
         cloud = WorldCloud.of(ctx.read(CLOUD), ctx.read_one(TILES), ctx.read_one(UPRIGHT))
         bands = None
         if ctx.config.heights == "model":
-            bands = HeightBands.of(models, ctx.read_one(SAMPLING))
+            bands = HeightBands.of(models, sampling)
         scan = TileScan(
             cloud=cloud,
             models=tuple(model.name for model in models),
@@ -158,8 +164,19 @@ def spin_grid(models: Sequence[ObjectModel], config: Scan.Config) -> SpinGrid:
     )
 
 
-def _template(model: ObjectModel, grid: SpinGrid, outside_weight: float) -> SpinTemplate:
-    template = template_from_cloud(model.points, grid)
+def _template(
+    model: ObjectModel,
+    grid: SpinGrid,
+    noise_m: float,
+    outside_weight: float,
+    rng: np.random.Generator,
+) -> SpinTemplate:
+    """The image that an instance is expected to have: of the model with the scene's noise."""
+    points = model.points.astype(np.float64)
+    noisy = np.concatenate(
+        [points + noise_m * rng.standard_normal(points.shape) for _ in range(BLURS)]
+    )
+    template = template_from_cloud(noisy, grid, origin=topmost_point(points))
     if outside_weight == 1.0:
         return template
     return replace(template, weights=extent_weights(template.values, outside_weight))

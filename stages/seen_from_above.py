@@ -1,4 +1,7 @@
-"""Which points of a mesh a sensor sees that looks straight down [Bovenkamp 2010, section 3.2]."""
+"""Which points of a mesh a sensor sees: from straight above, or from anywhere around.
+
+[Bovenkamp 2010, section 3.2] samples a model where a sensor above it sees it.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,48 @@ from numpy.typing import NDArray
 from spinpipe.schemas.records import F64
 
 I64 = NDArray[np.int64]
+
+_ELEVATIONS_DEG = (90.0, 60.0, 30.0, 0.0, -30.0)  # low cameras see what a table top covers
+_AZIMUTHS = 12
+
+
+def seen_from_around(points: F64, vertices: F64, faces: I64) -> NDArray[np.bool_]:
+    """Whether each point of a mesh shows from any direction but steeply below.
+
+    What never shows is inside: parts of a model drawn through each other have such faces.
+
+    Parameters
+    ----------
+    points : (N, 3) float64
+        Points on the mesh, z up.
+    vertices : (V, 3) float64, same unit and frame
+    faces : (F, 3) int
+
+    Returns
+    -------
+    (N,) bool
+    """
+    seen = np.zeros(len(points), np.bool_)
+    for elevation in np.radians(_ELEVATIONS_DEG):
+        azimuths = np.arange(_AZIMUTHS if np.cos(elevation) > 1e-9 else 1) * 2 * np.pi / _AZIMUTHS
+        for azimuth in azimuths + 0.1:  # off the axes, along which models have upright faces
+            rest = np.flatnonzero(~seen)
+            towards = _turned_upwards(elevation, azimuth)
+            seen[rest] = seen_from_above(points[rest] @ towards.T, vertices @ towards.T, faces)
+    return seen
+
+
+def _turned_upwards(elevation: float, azimuth: float) -> F64:
+    """Rotation (3, 3) that turns a direction to +z."""
+    direction = np.array(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ]
+    )
+    side = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    return np.stack([side, np.cross(direction, side), direction])
 
 
 def seen_from_above(points: F64, vertices: F64, faces: I64) -> NDArray[np.bool_]:
