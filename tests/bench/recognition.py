@@ -13,10 +13,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import tempfile
 from pathlib import Path
 
 from recognition_judge import Trial
 from recognition_objects import SOUGHT
+from recognition_real import real_trials
 from recognition_report import print_details, print_reliability, print_table
 from recognition_scenes import CONDITIONS
 from recognition_trial import artificial_trial
@@ -47,8 +49,18 @@ def main() -> None:
                     trials.append(trial)
                     _say(trial)
     _report("artificial scenes", trials, options.details)
+    real: list[Trial] = []
+    if options.data:
+        with tempfile.TemporaryDirectory() as temporary:
+            work = options.keep or Path(temporary)
+            for trial in real_trials(
+                options.data, options.threads, options.seed[0], work, options.quick
+            ):
+                real.append(trial)
+                _say(trial)
+    _report("real scenes", real, options.details)
     if options.json:
-        document = {"trials": [t.document() for t in trials]}
+        document = {"trials": [t.document() for t in trials + real]}
         options.json.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
