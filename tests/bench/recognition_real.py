@@ -76,8 +76,8 @@ class Park:
     def turned(self, heading_deg: float, tilt_deg: float) -> Park:
         """Turned about the vertical, then tilted about x."""
         cos, sin = math.cos(math.radians(tilt_deg)), math.sin(math.radians(tilt_deg))
-        R = np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]])
-        R = R @ upright_pose((0, 0, 0), heading_deg)[:3, :3]
+        tilt = np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]])
+        R = tilt @ upright_pose((0, 0, 0), heading_deg)[:3, :3]
         centre = self.xyz.mean(axis=0)
         base = np.array([[x, y, self._ground(x, y)] for x, y in self.labels[:, :2]])
         labels = self.labels.copy()
