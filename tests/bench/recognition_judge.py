@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -83,7 +84,10 @@ def judge(
         rule = "name" if trial.part == "artificial" else "any"
         result = evaluate_run(output, truth, radius_m=radius_m, rule=rule)
     except StageError as error:
+        # a run that stops finds nothing
         trial.error = str(error)
+        trial.instances = _count_wanted(truth)
+        trial.lost_by = {trial.error.partition(":")[0]: trial.instances}
         return
     finally:
         trial.seconds = perf_counter() - began
@@ -106,6 +110,11 @@ def judge(
         d = result.detections[intruder.detection]
         trial.intruders.append({"kind": intruder.kind, "on": stands_on(d), **_parts(d)})
     trial.judged = _judged(result, radius_m, symmetry)
+
+
+def _count_wanted(truth: Path) -> int:
+    with truth.open(newline="", encoding="utf-8") as stream:
+        return sum(row.get("ignore", "0") in ("", "0") for row in csv.DictReader(stream))
 
 
 def heading_error(match: Match, symmetry: int) -> float | None:

@@ -34,8 +34,6 @@ def _totals(trials: Sequence[Trial], key: Callable[[Trial], str]) -> list[list[s
 
 def _row(what: str, scene: str, trials: Sequence[Trial]) -> list[str]:
     one = trials[0] if len(trials) == 1 else None
-    if one and one.error:
-        return [what, scene, *[""] * (len(COLUMNS) - 3), one.error]
     count, found = sum(t.instances for t in trials), sum(t.found for t in trials)
     false = sum(t.false for t in trials)
     position = [p for t in trials for p in t.position_m]
@@ -51,17 +49,17 @@ def _row(what: str, scene: str, trials: Sequence[Trial]) -> list[str]:
         *(str(v) for v in (count, found, false, sum(t.ambiguous for t in trials))),
         f"{found / count:.2f}" if count else "",
         f"{found / (found + false):.2f}" if found + false else "",
-        *(f"{v:.3f}" for v in _percentiles(position)),
-        *(f"{v:.1%}" for v in _percentiles(relative)[:1]),
-        *(f"{v:.1f}" for v in _percentiles(heading)),
+        *_percentiles(position, ".3f"),
+        _percentiles(relative, ".1%")[0],
+        *_percentiles(heading, ".1f"),
         str(sum(t.flips for t in trials)),
         f"{sum(t.seconds for t in trials):.0f}",
-        ", ".join(f"{stage} {n}" for stage, n in lost.most_common()),
+        one.error if one and one.error else ", ".join(f"{k} {n}" for k, n in lost.most_common()),
     ]
 
 
-def _percentiles(values: Sequence[float]) -> list[float]:
-    return np.percentile(values, [50, 95]).tolist() if values else [np.nan, np.nan]
+def _percentiles(values: Sequence[float], form: str) -> list[str]:
+    return [f"{v:{form}}" for v in np.percentile(values, [50, 95])] if values else ["", ""]
 
 
 def _print_aligned(rows: Sequence[Sequence[str]]) -> None:
