@@ -27,7 +27,7 @@ def print_table(trials: Sequence[Trial]) -> None:
 
 def _totals(trials: Sequence[Trial], key: Callable[[Trial], str]) -> list[list[str]]:
     names = list(dict.fromkeys(key(t) for t in trials))
-    if len(names) < 2:
+    if not 1 < len(names) < len(trials):
         return []
     return [_row("all", name, [t for t in trials if key(t) == name]) for name in names]
 
