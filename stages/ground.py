@@ -18,12 +18,13 @@ from spinpipe.stages.level import lowest_level
 from spinpipe.stages.neighbourhood import WorldCloud
 from spinpipe.stages.plane import (
     SIGMAS,
+    SMOOTHEST,
     FittedPlane,
     LocalPlanes,
     is_collinear,
-    local_planes,
     ransac_planes,
     refine_plane,
+    reliable_local_planes,
 )
 from spinpipe.stages.sampled_squares import points_of_some_squares
 from spinpipe.stages.stage import Context, Section, StageError
@@ -35,8 +36,6 @@ F64 = NDArray[np.float64]
 
 PLANES = 6
 """Planes that are tried as the ground."""
-SMOOTHEST = 0.1
-"""Share of the surface that is smooth in every scene."""
 FLOOR_DISTANCE = 1e-3
 """Smallest inlier distance, in voxels of the sample: noiseless planes have float32 noise."""
 WIDEST_DISTANCE = 0.02
@@ -49,7 +48,7 @@ class Ground:
     """Estimate the ground plane and the rotation that turns the scene upright."""
 
     name = "ground"
-    version = 2
+    version = 3
     inputs = (CLOUD, TILES, CAMERAS)
     outputs = (PLANE, UPRIGHT, SAMPLING)
 
@@ -86,7 +85,7 @@ class Ground:
         """Sample the cloud, find the ground, write its plane and the upright rotation."""
         sample = _sample(ctx)
         points = sample.points.astype(np.float64)
-        local = local_planes(points)
+        local = reliable_local_planes(points)
         if ctx.config.up == "auto":
             plane = _estimate(ctx, points, local, sample.voxel)
         else:

@@ -22,8 +22,20 @@ SCORED = 2048
 FINALISTS = 8
 GAUSSIAN_MAD = 1.4826
 """Standard deviation of a normal distribution in units of its median absolute deviation."""
-PARALLEL = np.cos(np.radians(40.0))
-"""Least cosine of the angle between parallel normals; 0.23 of random normals are parallel."""
+PARALLEL = np.cos(np.radians(20.0))
+"""Least cosine of the angle between parallel normals; 0.06 of random normals are parallel."""
+NEIGHBOURS, MOST = 16, 64
+"""Points in a local plane: to begin with, and where noise asks for more."""
+NORMAL_ERROR = np.radians(4.0)
+"""Standard error of normals that are known: a fifth of ``PARALLEL``."""
+SMOOTHEST = 0.1
+"""Share of the surface that is smooth in every scene."""
+TRIED = 4096
+"""Points that tell whether neighbourhoods are wide enough."""
+LEAST_SUPPORT = 500
+"""Points of which neighbourhoods are made at least."""
+CHUNK = 8192
+"""Points whose neighbourhoods are held at once."""
 SIGMAS = 3.0
 """Inlier distance in standard deviations of the noise."""
 
@@ -54,26 +66,77 @@ class LocalPlanes:
     """(N, 3) unit normals of either sign."""
     deviations: F64
     """(N,) standard deviation of the neighbours from the plane."""
+    errors: F64
+    """(N,) standard error of the normals about the axis that is known worst, radians."""
 
 
-def local_planes(points: F64, *, neighbours: int = 16) -> LocalPlanes:
-    """Principal components of each point and its nearest neighbours [Hoppe et al. 1992].
+def local_planes(
+    points: F64, *, neighbours: int = 16, support: F64 | None = None, rows: int | None = None
+) -> LocalPlanes:
+    """Principal components of each point's nearest neighbours [Hoppe et al. 1992].
 
     Parameters
     ----------
     points
         (N, 3), N >= 4.
     neighbours
-        Points in each plane, itself included.
+        Points in each plane.
+    support
+        (M, 3) points that the neighbours are taken from; the points themselves if not stated.
+    rows
+        How many of the points, from the first, get a plane; all if not stated.
     """
-    neighbours = min(neighbours, len(points))
-    _, index = KDTree(points).query(points, k=neighbours)
-    patches = points[index]
+    support = points if support is None else support
+    neighbours = min(neighbours, len(support))
+    tree = KDTree(support)
+    parts = [
+        _principal_planes(support[tree.query(part, k=neighbours)[1]])
+        for part in np.split(points[:rows], range(CHUNK, len(points[:rows]), CHUNK))
+    ]
+    return LocalPlanes(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def _principal_planes(patches: F64) -> tuple[F64, F64, F64]:
+    """Normals, deviations and errors of (N, K, 3) patches.
+
+    The error is that of a sample's eigenvector towards the next one [Anderson 1963, theorem 1]:
+    it grows without bound as a patch gets as thick as it is wide.
+    """
+    count = patches.shape[1]
     patches = patches - patches.mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", patches, patches))
+    least, middle = np.maximum(values[:, 0], 0), np.maximum(values[:, 1], 0)
     # Three parameters were fitted to each patch.
-    deviations = np.sqrt(np.maximum(values[:, 0], 0) / max(neighbours - 3, 1))
-    return LocalPlanes(vectors[:, :, 0], deviations)
+    deviations = np.sqrt(least / max(count - 3, 1))
+    gap = np.maximum(middle - least, np.finfo(float).tiny)
+    return vectors[:, :, 0], deviations, np.sqrt(least / gap * (middle / gap) / count)
+
+
+def reliable_local_planes(points: F64) -> LocalPlanes:
+    """Local planes in neighbourhoods that are wide against the noise.
+
+    A ball that is no wider than the noise is thick holds a round heap of points, whose normal is
+    chance and whose deviation says how large the ball is, not how large the noise. So the number
+    of neighbours doubles until the smoothest patches know their normals; beyond ``MOST`` of them
+    every other point is left out, which widens the ball at the same cost.
+
+    Parameters
+    ----------
+    points
+        (N, 3), N >= 4, in random order.
+    """
+    neighbours, support = NEIGHBOURS, points
+    while True:
+        tried = local_planes(points, neighbours=neighbours, support=support, rows=TRIED)
+        if np.quantile(tried.errors, SMOOTHEST) <= NORMAL_ERROR:
+            break
+        if neighbours < MOST:
+            neighbours *= 2
+        elif len(support) >= 2 * LEAST_SUPPORT:
+            support = support[: len(support) // 2]
+        else:
+            break  # a volume: it has no planes, however wide one looks
+    return local_planes(points, neighbours=neighbours, support=support)
 
 
 def is_collinear(points: F64, *, tolerance: float = 1e-6) -> bool:
@@ -208,7 +271,9 @@ def ransac_plane(
     judges = points[: 8 * SCORED]
     refined = [refine_plane(judges, p, fixed_distance=fixed_distance) for _, p in finalists]
     best = max(refined, key=lambda p: float(msac_score(p.heights(judges), distance)))
-    return refine_plane(points, best, fixed_distance=fixed_distance)
+    # Not wider than the finalists were allowed to be: clutter must not widen a plane step by step.
+    widest = 2.0 * distance / best.inlier_distance
+    return refine_plane(points, best, widest=widest, fixed_distance=fixed_distance)
 
 
 def ransac_planes(
@@ -247,9 +312,9 @@ def ransac_planes(
     Returns
     -------
     list of FittedPlane
-        At most ``count``, each refined and holding at least ``min_share`` of the points, half of
-        which at least lie on surfaces parallel to it: a plane that merely cuts through many
-        surfaces or a volume is none.
+        At most ``count``, each refined. At least ``min_share`` of the points are inliers that lie
+        on surfaces parallel to it, and they are at least half of its inliers: a plane holds
+        neither what it merely cuts (walls, legs) nor a volume.
     """
     planes: list[FittedPlane] = []
     left, directions = points, normals
@@ -268,7 +333,8 @@ def ransac_planes(
         if np.count_nonzero(heights < plane.inlier_distance) < min_share * len(points):
             break
         inliers = heights < plane.inlier_distance
-        if np.mean(np.abs(directions[inliers] @ plane.normal) > PARALLEL) >= 0.5:
+        held = np.count_nonzero(np.abs(directions[inliers] @ plane.normal) > PARALLEL)
+        if held >= max(min_share * len(points), 0.5 * np.count_nonzero(inliers)):
             planes.append(plane)
         rest = heights >= 2 * plane.inlier_distance
         left, directions = left[rest], directions[rest]

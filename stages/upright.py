@@ -34,7 +34,7 @@ class Hypothesis:
 
     terrain: Terrain
     area: float
-    """Relative to the largest ground."""
+    """Of its largest connected piece, relative to that of the largest ground."""
     evidence: dict[str, float]
 
     @property
@@ -69,7 +69,7 @@ def rank(
     """
     hypotheses: list[Hypothesis] = []
     terrains = distinct_terrains(surface, planes)
-    areas = [np.count_nonzero(terrain.members) for terrain in terrains]
+    areas = [_largest_piece(surface, terrain) for terrain in terrains]
     for signed in (terrains, [terrain.flipped() for terrain in terrains]):
         found = scene_evidence(surface, signed)
         for terrain, area, evidence in zip(signed, areas, found, strict=True):
@@ -77,6 +77,11 @@ def rank(
                 evidence |= camera_evidence(*cameras, terrain.plane)
             hypotheses.append(Hypothesis(terrain, area / max(areas), evidence))
     return sorted(hypotheses, key=lambda h: -h.score)
+
+
+def _largest_piece(surface: Surface, terrain: Terrain) -> int:
+    """Points of the ground that hang together: tops of many things are islands, ground is not."""
+    return int(np.bincount(surface.groups(terrain.members), minlength=1).max())
 
 
 def best_rival(hypotheses: list[Hypothesis]) -> Hypothesis:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
-from spinpipe.schemas import CAMERAS, CLOUD, PLANE, TILES, UPRIGHT
+from spinpipe.schemas import CAMERAS, CLOUD, PLANE, SAMPLING, TILES, UPRIGHT
 from spinpipe.schemas.records import Cameras, CloudTile, TileIndex
 from spinpipe.stages.area_sample import sample_by_area
 from spinpipe.stages.ground import Ground
@@ -319,6 +319,65 @@ def test_the_sample_is_bounded_and_uniform_in_area():
     assert sample.counts.sum() == len(sparse) + len(dense)
     left = np.count_nonzero(sample.points[:, 0] < 10)
     assert left / len(sample.points) == pytest.approx(0.5, abs=0.02)
+
+
+def tables(rng, noise_m, spacing_m=0.02):
+    """A floor of 5 x 5 m with tables and cupboards on it."""
+    density = spacing_m**-2
+    parts = [rectangle(rng, (0, 0, 0), (5, 0, 0), (0, 5, 0), density)]
+    for x, y in ((0.4, 0.4), (2, 0.5), (3.5, 1.5), (0.5, 2), (2, 3.5)):
+        parts.append(rectangle(rng, (x, y, 0.74), (1.2, 0, 0), (0, 0.8, 0), density))
+        feet = [(x + a, y + b) for a in (0, 1.15) for b in (0, 0.75)]
+        parts += [box(rng, *foot, 0.05, 0.05, 0.74, density) for foot in feet]
+    parts += [box(rng, x, y, 0.6, 0.5, 0.9, density) for x, y in ((0.3, 3.8), (4, 4), (4.2, 0.3))]
+    scene = np.concatenate(parts)
+    return scene + noise_m * rng.standard_normal(scene.shape)
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.01, 0.02, 0.04])
+def test_furniture_at_any_noise(noise_m):
+    turn = Rotation.random(random_state=4)
+    scene = turn.apply(tables(np.random.default_rng(19), noise_m))
+    assert angle_deg(up_of(scene), turn.apply(UP)) < 0.5
+
+
+@pytest.mark.parametrize("noise_m", [0.25, 0.3])
+def test_noise_of_several_spacings(noise_m):
+    """Three times as thick as the points are apart."""
+    scene = car_park(np.random.default_rng(20), cars=10, size=40.0)
+    scene += noise_m * np.random.default_rng(21).standard_normal(scene.shape)
+    turn = Rotation.random(random_state=6)
+    assert angle_deg(up_of(turn.apply(scene)), turn.apply(UP)) < 0.5
+
+
+def test_bushes_are_no_second_ground():
+    """Noise widens what counts as a plane; a layer through cars and bushes must stay none."""
+    rng = np.random.default_rng(22)
+    scene = car_park(rng, cars=10, size=30.0)
+    bushes = rng.uniform((-15, -15, 0), (15, -5, 2.2), (9000, 3))
+    scene = np.concatenate([scene, bushes])
+    scene += 0.05 * rng.standard_normal(scene.shape)
+    assert angle_deg(up_of(scene), UP) < 0.5
+
+
+def test_exactly_level_ground_without_noise():
+    scene = car_park(np.random.default_rng(23))
+    plane, _ = ground_of(scene)
+    assert np.count_nonzero(scene[:, 2] == 0) > 0.5 * len(scene)
+    assert angle_deg(np.array(plane.normal), UP) < 1e-3
+    assert abs(plane.offset) < 1e-3
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.01, 0.05, 0.2])
+def test_measured_sampling_is_that_of_the_scene(noise_m):
+    rng = np.random.default_rng(24)
+    scene = car_park(rng)
+    scene += noise_m * rng.standard_normal(scene.shape)
+    context = Memory(np.array_split(scene.astype(np.float32), 3))
+    Ground().run(context)
+    sampling = context.written[SAMPLING]
+    assert sampling.spacing_m == pytest.approx(40**-0.5, rel=0.2)
+    assert sampling.noise_m == pytest.approx(noise_m, rel=0.2, abs=1e-4)
 
 
 def read_real(path):

@@ -13,6 +13,7 @@ from spinpipe.stages.plane import (
     ransac_plane,
     ransac_planes,
     refine_plane,
+    reliable_local_planes,
 )
 
 
@@ -90,3 +91,37 @@ def test_collinear_points_span_no_plane():
     assert not is_collinear(np.concatenate([line, [[0, 0, 9]]]))
     with pytest.raises(ValueError, match="no three points"):
         ransac_plane(np.ones((5, 3)), 0.1, np.random.default_rng(0), min_share=0.5)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.3, 0.6])
+def test_normals_stay_known_where_noise_exceeds_the_spacing(noise):
+    """Points 0.1 apart: 16 neighbours of one reach no farther than 0.2."""
+    rng = np.random.default_rng(5)
+    rotation = Rotation.random(random_state=5)
+    points = patch(rng, 40_000, rotation, 0.0, noise)
+    local = reliable_local_planes(points)
+    along = np.abs(local.normals @ rotation.apply([0, 0, 1]))
+    assert np.mean(along > np.cos(np.radians(20))) > 0.85
+    assert np.quantile(local.deviations, 0.1) == pytest.approx(noise, rel=0.25)
+
+
+def test_a_plane_holds_only_what_lies_along_it():
+    """A level through the legs of many tables holds legs, not a surface."""
+    rng = np.random.default_rng(6)
+    ground = patch(rng, 12_000, Rotation.identity(), 0.0, 0.02)
+    foot = rng.uniform(-9, 9, (60, 2))[rng.integers(60, size=8000)]
+    legs = np.c_[foot + rng.uniform(-0.02, 0.02, foot.shape), rng.uniform(0.2, 1.4, 8000)]
+    points = rng.permutation(np.concatenate([ground, legs]))
+    local = reliable_local_planes(points)
+    planes = ransac_planes(points, local.normals, 0.3, rng, count=4, min_share=0.1)
+    assert len(planes) == 1
+    assert angle_deg(planes[0].normal, np.array([0, 0, 1.0])) < 0.5
+
+
+def test_clutter_does_not_widen_a_plane_step_by_step():
+    rng = np.random.default_rng(7)
+    flat = patch(rng, 3000, Rotation.identity(), 0.0, 0.03)
+    clutter = rng.uniform((-10, -10, -1), (10, 10, 1), (12_000, 3))
+    points = rng.permutation(np.concatenate([flat, clutter]))
+    plane = ransac_plane(points, 0.1, rng, min_share=0.1)
+    assert plane.inlier_distance <= 0.2 * (1 + 1e-9)
