@@ -11,20 +11,16 @@ import numpy as np
 
 from spinpipe.schemas.records import F64, I64, Cluster, Detection, FitTrace, Part, Sampling
 from spinpipe.stages.candidates import Candidates, vector
+from spinpipe.stages.decision import decide
+from spinpipe.stages.evidence import EVIDENCE
+from spinpipe.stages.examiner import Examiner
 from spinpipe.stages.frames import heading_deg, transform
-from spinpipe.stages.hypotheses import EVIDENCE
+from spinpipe.stages.hypothesis_table import Hypotheses
 from spinpipe.stages.model_field import build_model_field
 from spinpipe.stages.model_surface import model_surface
 from spinpipe.stages.neighbourhood import WorldCloud
-from spinpipe.stages.recognition import (
-    Examiner,
-    Hypotheses,
-    KnownObject,
-    Rules,
-    Verdict,
-    blocks,
-    decide,
-)
+from spinpipe.stages.recognition import blocks
+from spinpipe.stages.verdict import KnownObject, Rules, Verdict
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -88,9 +84,10 @@ def verify_by_evidence(
         found.append(replace(table, candidate=rows[table.candidate]))
         advance(len(rows))
     table = Hypotheses.joined(found)
+    rows_of = table.rows_of_candidates(len(places))
     for verdict in decide(examiner, table, places, rules):
         cluster = clusters[verdict.candidate]
-        rivals = table.rows(table.candidate == verdict.candidate)
+        rivals = table.rows(rows_of[verdict.candidate])
         yield _detection(candidates, cluster, verdict), _trace(cluster, verdict, rivals)
 
 
