@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from spinpipe.stages.candidate_points import TOO_FEW, cut_out
+from spinpipe.stages.coarse_bounds import gain, gain_bounds
 from spinpipe.stages.compiled import inner
 from spinpipe.stages.field_lookup import POSE, half_diagonal, nearest_sample
 
@@ -38,7 +39,7 @@ def coarse_fit(body, ground, field, pose, gate, enough):
     half_x, half_y = field.size[0] / 2 * sx, field.size[1] / 2 * sy
     top = field.size[2] * sz
     origin, inv, footprint = field.origin, 1.0 / field.voxel_m, field.footprint
-    samples = field.samples
+    surface = field.surface
     inv_gate2 = 1.0 / (gate * gate)
     explained = 0.0
     unexplained = 0.0
@@ -49,7 +50,7 @@ def coarse_fit(body, ground, field, pose, gate, enough):
         k = nearest_sample(field, ux / sx, uy / sy, uz / sz)
         if k < 0:
             continue
-        ex, ey, ez = ux - sx * samples[k, 0], uy - sy * samples[k, 1], uz - sz * samples[k, 2]
+        ex, ey, ez = ux - sx * surface[k, 0], uy - sy * surface[k, 1], uz - sz * surface[k, 2]
         share = 1.0 - (ex * ex + ey * ey + ez * ez) * inv_gate2
         if share > 0.0:
             explained += weights[n] * share
@@ -62,16 +63,15 @@ def coarse_fit(body, ground, field, pose, gate, enough):
         j = int(math.floor(((c * dy - s * dx) / sy - origin[1]) * inv))
         if 0 <= i < footprint.shape[0] and 0 <= j < footprint.shape[1] and footprint[i, j]:
             unexplained += weights[n]
-    if explained <= 0.0:
-        return 0.0
-    return explained / (explained + unexplained) * explained / (explained + enough)
+    return gain(explained, unexplained, enough)
 
 
 @inner
 def coarse_search(grid, field, limits, place, ground_z, poses, gains):
     """Fill ``poses`` (K, 7) and ``gains`` (K,) with the best distinct coarse fits at a place.
 
-    Every heading is tried at offsets of whole steps around the place.
+    Every heading is tried at offsets of whole steps around the place; what cannot be among the best
+    by its bound is not looked at.
 
     Parameters
     ----------
@@ -87,24 +87,50 @@ def coarse_search(grid, field, limits, place, ground_z, poses, gains):
     body, ground = cut_out(grid, x, y, reach, limits.low_m, ceiling, COARSE_POINTS)
     if body.xyz.shape[0] < TOO_FEW:
         return
-    tried = _poses(field, limits, x, y, z, ground_z)
-    gain = np.empty(tried.shape[0])
+    tried = poses_to_try(field, limits, x, y, z, ground_z)
     # a tenth of the footprint, in cells of equal surface
     enough = 0.1 * field.size[0] * field.size[1] / (grid.cell_m * grid.cell_m)
-    for n in range(tried.shape[0]):
-        gain[n] = coarse_fit(body, ground, field, tried[n], limits.coarse_gate_m, enough)
-    kept = 0
-    for n in np.argsort(-gain, kind="mergesort"):
-        if kept == poses.shape[0] or gain[n] <= 0.0:
+    bounds = np.empty(tried.shape[0])
+    base, tall = tried[0, 2], tried[0, 6]
+    gain_bounds(body, ground, field, limits, x, y, base, tall, enough, bounds)
+    # best first: the pose found is the one that an exhaustive search would find
+    order = np.argsort(-bounds)
+    open_gains = np.zeros(tried.shape[0])
+    looked_at = 0
+    for kept in range(poses.shape[0]):
+        best = -1
+        for n in order[:looked_at]:
+            if not is_distinct(tried[n], poses[:kept], limits):
+                open_gains[n] = 0.0
+            best = _better(open_gains, n, best)
+        while looked_at < len(order):
+            n = order[looked_at]
+            if bounds[n] <= 0.0 or (best >= 0 and bounds[n] < open_gains[best]):
+                break
+            looked_at += 1
+            if is_distinct(tried[n], poses[:kept], limits):
+                open_gains[n] = coarse_fit(
+                    body, ground, field, tried[n], limits.coarse_gate_m, enough
+                )
+                best = _better(open_gains, n, best)
+        if best < 0:
             break
-        if _is_distinct(tried[n], poses[:kept], limits):
-            poses[kept] = tried[n]
-            gains[kept] = gain[n]
-            kept += 1
+        poses[kept] = tried[best]
+        gains[kept] = open_gains[best]
 
 
 @inner
-def _poses(field, limits, x, y, z, ground_z):
+def _better(gains, n, best):
+    """The one of greater gain, the earlier one if equal; none (-1) is better than no gain."""
+    if gains[n] <= 0.0 or (best >= 0 and gains[n] < gains[best]):
+        return best
+    if best >= 0 and gains[n] == gains[best]:
+        return min(n, best)
+    return n
+
+
+@inner
+def poses_to_try(field, limits, x, y, z, ground_z):
     """Poses to try, (headings * offsets, 7)."""
     # where the model is rigid another one may have proposed the place: only its xy counts
     tall = 1.0
@@ -132,7 +158,7 @@ def _poses(field, limits, x, y, z, ground_z):
 
 
 @inner
-def _is_distinct(pose, others, limits):
+def is_distinct(pose, others, limits):
     """Whether a pose is more than a step or a heading away from all others."""
     for k in range(others.shape[0]):
         turn = abs((pose[3] - others[k, 3] + math.pi) % (2 * math.pi) - math.pi)

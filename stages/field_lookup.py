@@ -18,8 +18,10 @@ POSE = 7
 class FieldArrays(NamedTuple):
     """The arrays of a ``ModelField``; those of probes in place of their indices."""
 
-    samples: NDArray[np.float64]
-    normals: NDArray[np.float64]
+    surface: NDArray[np.float64]
+    """(S, 8) samples and normals in one row: one look at memory gives both."""
+    reach: float
+    """Horizontal distance of the outermost sample from the base centre."""
     probes: NDArray[np.float64]
     probe_normals: NDArray[np.float64]
     seen_weight: NDArray[np.float64]
@@ -30,10 +32,13 @@ class FieldArrays(NamedTuple):
     origin: NDArray[np.float64]
     voxel_m: float
     nearest: NDArray[np.int32]
+    clearance: NDArray[np.float32]
     solid: NDArray[np.bool_]
     footprint: NDArray[np.bool_]
     edges: NDArray[np.float64]
     depth_edge: NDArray[np.int32]
+    depths: NDArray[np.float64]
+    """Ascending, how far inside the outline the columns' middles lie, metres."""
     outline: NDArray[np.float64]
     outline_normals: NDArray[np.float64]
     outline_height: NDArray[np.float64]
@@ -41,10 +46,13 @@ class FieldArrays(NamedTuple):
 
 def field_arrays(model: ModelField) -> FieldArrays:
     """What kernels look up of a model."""
+    surface = np.zeros((len(model.samples), 8))
+    surface[:, :3], surface[:, 3:6] = model.samples, model.normals
     top = model.samples[model.samples[:, 2] > 0.99 * model.size[2]]
+    x, y = model.samples[:, 0], model.samples[:, 1]
     return FieldArrays(
-        samples=model.samples,
-        normals=model.normals,
+        surface=surface,
+        reach=math.sqrt((x**2 + y**2).max()),
         probes=model.samples[model.probes],
         probe_normals=model.normals[model.probes],
         seen_weight=model.seen_weight,
@@ -54,14 +62,24 @@ def field_arrays(model: ModelField) -> FieldArrays:
         origin=model.origin,
         voxel_m=float(model.voxel_m),
         nearest=model.nearest,
+        clearance=model.clearance,
         solid=model.solid,
         footprint=model.footprint,
         edges=model.edges,
         depth_edge=model.depth_edge,
+        depths=_depths(model),
         outline=model.outline,
         outline_normals=model.outline_normals,
         outline_height=model.outline_height,
     )
+
+
+def _depths(model: ModelField) -> NDArray[np.float64]:
+    nx, ny = model.depth_edge.shape
+    x = model.origin[0] + (np.arange(nx)[:, None] + 0.5) * model.voxel_m
+    y = model.origin[1] + (np.arange(ny) + 0.5) * model.voxel_m
+    px, py, normal_x, normal_y = np.moveaxis(model.edges[model.depth_edge], -1, 0)
+    return np.sort((normal_x * (px - x) + normal_y * (py - y)).ravel())
 
 
 @inner

@@ -37,16 +37,6 @@ def hides_ground(ground, field, pose, inset):
 @inner
 def _areas(field, inset):
     """Columns of the field's grid well inside the footprint, and those outside of it."""
-    origin, voxel, edges, depth_edge = field.origin, field.voxel_m, field.edges, field.depth_edge
-    inside = 0.0
-    outside = 0.0
-    for i in range(depth_edge.shape[0]):
-        for j in range(depth_edge.shape[1]):
-            e = depth_edge[i, j]
-            x, y = origin[0] + (i + 0.5) * voxel, origin[1] + (j + 0.5) * voxel
-            depth = edges[e, 2] * (edges[e, 0] - x) + edges[e, 3] * (edges[e, 1] - y)
-            if depth > inset:
-                inside += 1.0
-            elif depth < 0.0:
-                outside += 1.0
-    return inside, outside
+    depths = field.depths
+    inside = len(depths) - np.searchsorted(depths, inset, side="right")
+    return float(inside), float(np.searchsorted(depths, 0.0))

@@ -14,13 +14,14 @@ from spinpipe.stages.candidate_points import TOO_FEW, cut_out
 from spinpipe.stages.coarse_search import coarse_search
 from spinpipe.stages.compiled import inner, sources
 from spinpipe.stages.evidence import gather_evidence
-from spinpipe.stages.field_lookup import half_diagonal
+from spinpipe.stages.field_lookup import POSE, half_diagonal
 from spinpipe.stages.registration import Base, refine
 
 SOURCES = (
     "cell_grid",
     "candidate_points",
     "field_lookup",
+    "coarse_bounds",
     "coarse_search",
     "ground_hole",
     "registration",
@@ -67,12 +68,15 @@ def _kernels(sources: str):
         _ = sources
         gates = _gates(limits)
         base_sd = limits.gate_m if limits.stretch > 0.0 else 0.0
+        no_course = np.empty((0, POSE))
         for c in range(poses.shape[0]):
             body, ground = _fine_points(grid, field, limits, poses[c])
             if body.xyz.shape[0] < TOO_FEW:
                 continue
             base = Base(ground_z[c], base_sd)
-            pose, converged = refine(body, ground, field, poses[c], gates, limits.stretch, base)
+            pose, converged, _ = refine(
+                body, ground, field, poses[c], gates, limits.stretch, base, no_course
+            )
             poses[c] = pose
             found = gather_evidence(
                 grid, body, field, pose, converged, limits.gate_m, limits.sharp_m

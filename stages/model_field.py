@@ -7,7 +7,9 @@ sets, section 4].
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,8 @@ class ModelField:
     size : (3,) float64, extent of the bounding box; its base centre is the origin.
     origin, voxel_m : corner and pitch of the grid.
     nearest : (nx, ny, nz) int32, index of the sample nearest to each voxel's centre.
+    clearance : (nx, ny, nz) float32, square metres: no point of a voxel is nearer than its root to
+        any sample; negative in voxels wholly inside the bounding box.
     solid : (nx, ny, nz) bool, voxels inside the body: no ray from above reaches them.
     footprint : (nx, ny) bool, columns whose ground the body hides from above.
     edges : (E, 4) float64, edges of the convex hull of the footprint: a point on each, (x, y), and
@@ -52,6 +56,7 @@ class ModelField:
     origin: NDArray[np.float64]
     voxel_m: float
     nearest: NDArray[np.int32]
+    clearance: NDArray[np.float32]
     solid: NDArray[np.bool_]
     footprint: NDArray[np.bool_]
     edges: NDArray[np.float64]
@@ -60,7 +65,7 @@ class ModelField:
     outline_normals: NDArray[np.float64]
     outline_height: NDArray[np.float64]
 
-    @property
+    @cached_property
     def resolution_m(self) -> float:
         """Distance below which the field tells no two surfaces apart."""
         neighbour = KDTree(self.samples).query(self.samples, k=2)[0][:, 1]
@@ -134,7 +139,7 @@ def build_model_field(
     origin = np.array([-size[0] / 2 - margin, -size[1] / 2 - margin, -margin])
     shape = np.ceil((size + 2 * margin) / voxel).astype(int)
     centres = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), -1)
-    nearest = tree.query(origin + (centres.reshape(-1, 3) + 0.5) * voxel)[1]
+    distance, nearest = tree.query(origin + (centres.reshape(-1, 3) + 0.5) * voxel)
     surface = np.zeros(shape, dtype=bool)
     cell = np.floor((points - origin) / voxel).astype(int)
     surface[cell[:, 0], cell[:, 1], cell[:, 2]] = True
@@ -170,6 +175,7 @@ def build_model_field(
         origin=origin,
         voxel_m=voxel,
         nearest=nearest.reshape(shape).astype(np.int32),
+        clearance=_clearance(distance.reshape(shape), size, origin, voxel),
         solid=solid,
         footprint=~air[:, :, base] | surface[:, :, base],
         edges=edges,
@@ -178,6 +184,26 @@ def build_model_field(
         outline_normals=outline_normals,
         outline_height=np.array([samples[k, 2].max() for k in near]),
     )
+
+
+def _clearance(
+    distance: NDArray[np.float64],
+    size: NDArray[np.float64],
+    origin: NDArray[np.float64],
+    voxel: float,
+) -> NDArray[np.float32]:
+    """See ``ModelField``, given the (nx, ny, nz) distances of the voxels' centres."""
+    rounding = 1e-3 * voxel
+    least = np.clip(distance - math.sqrt(3) / 2 * voxel - rounding, 0.0, None)
+    low = [o + np.arange(n) * voxel for o, n in zip(origin, distance.shape, strict=True)]
+    first = -size[0] / 2, -size[1] / 2, 0.0
+    last = size[0] / 2, size[1] / 2, size[2]
+    x, y, z = (
+        (edge > a + rounding) & (edge + voxel < b - rounding)
+        for edge, a, b in zip(low, first, last, strict=True)
+    )
+    within = x[:, None, None] & y[:, None] & z
+    return np.where(within, -(least**2), least**2).astype(np.float32)
 
 
 def _spread_evenly(points: NDArray[np.float64], count: int) -> NDArray[np.intp]:

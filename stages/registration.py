@@ -29,16 +29,15 @@ class Base(NamedTuple):
     sd: float
 
 
-class Equations(NamedTuple):
-    """Normal equations A step = b, lower triangle, with room for one row of the Jacobian."""
+class Residuals(NamedTuple):
+    """Room for weighted residuals: (N,) weights, (N, 8) rows of the Jacobian and the residual."""
 
-    A: NDArray[np.float64]
-    b: NDArray[np.float64]
-    row: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    rows: NDArray[np.float64]
 
 
 @njit(nogil=True, error_model="numpy")
-def refine(body, ground, field, start, gates, stretch, base):
+def refine(body, ground, field, start, gates, stretch, base, course):
     """Gauss-Newton from one start, the gate narrowing from pass to pass.
 
     Parameters
@@ -50,70 +49,60 @@ def refine(body, ground, field, start, gates, stretch, base):
     gates : (G,) float64, residual gates of the passes, metres.
     stretch : largest relative stretch per axis, 0 for a rigid model.
     base : Base.
+    course : (I, 7) float64, filled with the first I poses on the way, from the start on.
 
     Returns
     -------
     pose : (7,) float64.
     converged : bool, the last step was below a thousandth of the gate.
+    steps : how many steps were made.
     """
     pose = start.copy()
     dof = POSE if stretch > 0.0 else 4
+    A, b = np.empty((dof, dof)), np.empty(dof)
+    room = body.xyz.shape[0] + ground.xyz.shape[0]
+    residuals = Residuals(np.empty(room), np.empty((room, POSE + 1)))
     converged = False
-    reach = _reach(field)
+    steps = 0
     for gate in gates:
         inset = 0.5 * gates[-1]
         hides = hides_ground(ground, field, pose, gate + inset)
         for _ in range(STEPS):
-            equations = Equations(np.zeros((dof, dof)), np.zeros(dof), np.zeros(POSE))
-            total = _add_body(equations, body, field, pose, gate)
+            if steps < course.shape[0]:
+                course[steps] = pose
+            count, total = _add_body(residuals, body, field, pose, gate)
             if total <= 0.0:
-                return pose, False
+                return pose, False, steps
             if hides >= 0.5:
-                _add_ground(equations, ground, field, pose, gate, inset, hides)
-            _add_priors(equations, pose, total, gate, reach, stretch, base)
-            step = np.linalg.solve(equations.A, equations.b)
+                count = _add_ground(residuals, count, ground, field, pose, gate, inset, hides)
+            _sum_up(residuals, count, A, b)
+            _add_priors(A, b, pose, total, gate, field.reach, stretch, base)
+            step = np.linalg.solve(A, b)
             # no step beyond the gate: the correspondences would be others
             moved = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
-            moved = max(moved, abs(step[3]) * reach)
+            moved = max(moved, abs(step[3]) * field.reach)
             shrink = min(1.0, gate / moved) if moved > 0.0 else 1.0
             for i in range(dof):
                 pose[i] += shrink * step[i]
             if stretch > 0.0:
                 for i in range(4, POSE):
                     pose[i] = min(max(pose[i], 1.0 - stretch), 1.0 + stretch)
+            steps += 1
             converged = moved < 1e-3 * gate
             if converged:
                 break
-    return pose, converged
+    return pose, converged, steps
 
 
 @inner
-def _reach(field):
-    """Horizontal distance of the outermost sample from the base centre."""
-    reach = 0.0
-    for k in range(field.samples.shape[0]):
-        reach = max(reach, field.samples[k, 0] ** 2 + field.samples[k, 1] ** 2)
-    return math.sqrt(reach)
-
-
-@inner
-def _add_row(equations, w, r):
-    """Add one residual of weight w with the Jacobian in ``equations.row``."""
-    A, b, J = equations
-    for i in range(b.shape[0]):
-        b[i] -= w * J[i] * r
-        for j in range(i + 1):
-            A[i, j] += w * J[i] * J[j]
-
-
-@inner
-def _add_body(equations, body, field, pose, gate):
-    """Distances of points to the planes through their nearest samples; returns their weight."""
-    samples, normals, J = field.samples, field.normals, equations.row
+def _add_body(residuals, body, field, pose, gate):
+    """Distances of points to the planes through their nearest samples: how many, their weight."""
+    surface = field.surface
     points, weights = body
     inv_gate2 = 1.0 / (gate * gate)
     c, s = math.cos(pose[3]), math.sin(pose[3])
     sx, sy, sz = pose[4], pose[5], pose[6]
+    count = 0
     total = 0.0
     for n in range(points.shape[0]):
         dx, dy = points[n, 0] - pose[0], points[n, 1] - pose[1]
@@ -121,30 +110,34 @@ def _add_body(equations, body, field, pose, gate):
         k = nearest_sample(field, ux / sx, uy / sy, uz / sz)
         if k < 0:
             continue
-        ex, ey, ez = ux - sx * samples[k, 0], uy - sy * samples[k, 1], uz - sz * samples[k, 2]
+        x, y, z = surface[k, 0], surface[k, 1], surface[k, 2]
+        ex, ey, ez = ux - sx * x, uy - sy * y, uz - sz * z
         w = 1.0 - (ex * ex + ey * ey + ez * ez) * inv_gate2
         if w <= 0.0:
             continue
         w = weights[n] * w * w  # Tukey's biweight
-        nx, ny, nz = normals[k, 0] / sx, normals[k, 1] / sy, normals[k, 2] / sz
+        nx, ny, nz = surface[k, 3] / sx, surface[k, 4] / sy, surface[k, 5] / sz
         norm = math.sqrt(nx * nx + ny * ny + nz * nz)
         nx, ny, nz = nx / norm, ny / norm, nz / norm
-        J[0] = -(c * nx - s * ny)
-        J[1] = -(s * nx + c * ny)
-        J[2] = -nz
-        J[3] = nx * uy - ny * ux
-        J[4] = -nx * samples[k, 0]
-        J[5] = -ny * samples[k, 1]
-        J[6] = -nz * samples[k, 2]
+        row = residuals.rows[count]
+        row[0] = -(c * nx - s * ny)
+        row[1] = -(s * nx + c * ny)
+        row[2] = -nz
+        row[3] = nx * uy - ny * ux
+        row[4] = -nx * x
+        row[5] = -ny * y
+        row[6] = -nz * z
+        row[7] = nx * ex + ny * ey + nz * ez
+        residuals.weights[count] = w
         total += w
-        _add_row(equations, w, nx * ex + ny * ey + nz * ez)
-    return total
+        count += 1
+    return count, total
 
 
 @inner
-def _add_ground(equations, ground, field, pose, gate, inset, hides):
-    """How far ground lies inside the nearest edge of the footprint."""
-    edges, J = field.edges, equations.row
+def _add_ground(residuals, count, ground, field, pose, gate, inset, hides):
+    """How far ground lies inside the nearest edge of the footprint; returns how many there are."""
+    edges = field.edges
     inv_gate2 = 1.0 / (gate * gate)
     c, s = math.cos(pose[3]), math.sin(pose[3])
     sx, sy = pose[4], pose[5]
@@ -162,20 +155,45 @@ def _add_ground(equations, ground, field, pose, gate, inset, hides):
         if r <= 0.0 or r >= gate:
             continue
         w = 1.0 - r * r * inv_gate2
-        J[0] = c * nx - s * ny
-        J[1] = s * nx + c * ny
-        J[2] = 0.0
-        J[3] = ny * ux - nx * uy
-        J[4] = nx * edges[e, 0]
-        J[5] = ny * edges[e, 1]
-        J[6] = 0.0
-        _add_row(equations, ground.weights[n] * hides * w * w, r)
+        row = residuals.rows[count]
+        row[0] = c * nx - s * ny
+        row[1] = s * nx + c * ny
+        row[2] = 0.0
+        row[3] = ny * ux - nx * uy
+        row[4] = nx * edges[e, 0]
+        row[5] = ny * edges[e, 1]
+        row[6] = 0.0
+        row[7] = r
+        residuals.weights[count] = ground.weights[n] * hides * w * w
+        count += 1
+    return count
 
 
 @inner
-def _add_priors(equations, pose, total, gate, reach, stretch, base):
+def _sum_up(residuals, count, A, b):
+    """Normal equations A step = b of the residuals: the lower triangle of A, and b."""
+    weights, rows = residuals
+    for i in range(b.shape[0]):
+        s0 = s1 = s2 = s3 = s4 = s5 = s6 = s7 = 0.0
+        for n in range(count):
+            wj = weights[n] * rows[n, i]
+            s0 += wj * rows[n, 0]
+            s1 += wj * rows[n, 1]
+            s2 += wj * rows[n, 2]
+            s3 += wj * rows[n, 3]
+            s4 += wj * rows[n, 4]
+            s5 += wj * rows[n, 5]
+            s6 += wj * rows[n, 6]
+            s7 += wj * rows[n, 7]
+        sums = (s0, s1, s2, s3, s4, s5, s6)
+        for j in range(i + 1):
+            A[i, j] = sums[j]
+        b[i] = -s7
+
+
+@inner
+def _add_priors(A, b, pose, total, gate, reach, stretch, base):
     """Complete the matrix: damping, the base on the ground, sizes near the stated ones."""
-    A, b, _ = equations
     for i in range(b.shape[0]):
         for j in range(i):
             A[j, i] = A[i, j]

@@ -34,7 +34,7 @@ def scene_evidence(body, field, pose, gate):
     -------
     Claim
     """
-    (points, weights), samples, normals = body, field.samples, field.normals
+    (points, weights), surface = body, field.surface
     c, s = math.cos(pose[3]), math.sin(pose[3])
     sx, sy, sz = pose[4], pose[5], pose[6]
     half_x, half_y = field.size[0] / 2 * sx, field.size[1] / 2 * sy
@@ -56,10 +56,10 @@ def scene_evidence(body, field, pose, gate):
             # below the base, above the ground: the body goes on where the model does not
             claimed += weights[n] if within else 0.0
             continue
-        ex, ey, ez = ux - sx * samples[k, 0], uy - sy * samples[k, 1], uz - sz * samples[k, 2]
+        ex, ey, ez = ux - sx * surface[k, 0], uy - sy * surface[k, 1], uz - sz * surface[k, 2]
         d2 = ex * ex + ey * ey + ez * ez
         if d2 <= gate * gate:
-            nx, ny, nz = normals[k, 0] / sx, normals[k, 1] / sy, normals[k, 2] / sz
+            nx, ny, nz = surface[k, 3] / sx, surface[k, 4] / sy, surface[k, 5] / sz
             r = (nx * ex + ny * ey + nz * ez) ** 2 / (nx * nx + ny * ny + nz * nz)
             claimed += weights[n]
             explained += weights[n]

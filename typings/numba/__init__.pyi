@@ -19,6 +19,7 @@ def njit(
     inline: Literal["never", "always"] = ...,
     error_model: Literal["python", "numpy"] = ...,
     boundscheck: bool = ...,
+    fastmath: bool | set[str] = ...,
     no_cpython_wrapper: bool = ...,
     no_cfunc_wrapper: bool = ...,
 ) -> Callable[[Callable[..., Any]], Dispatcher]: ...
