@@ -9,22 +9,28 @@ from typing import TypeVar
 
 import numpy as np
 
-from spinpipe.schemas.records import F64, I64, Cluster, Detection, FitTrace, Part, Sampling
+from spinpipe.schemas.records import (
+    F64,
+    I64,
+    Cluster,
+    Detection,
+    FitTrace,
+    ObjectModel,
+    Part,
+    Sampling,
+)
 from spinpipe.stages.candidates import Candidates, vector
+from spinpipe.stages.decision import decide
+from spinpipe.stages.evidence import EVIDENCE
+from spinpipe.stages.examiner import Examiner
 from spinpipe.stages.frames import heading_deg, transform
-from spinpipe.stages.hypotheses import EVIDENCE
-from spinpipe.stages.model_field import build_model_field
+from spinpipe.stages.hypothesis_table import Hypotheses
+from spinpipe.stages.model_field import ModelField, build_model_field
 from spinpipe.stages.model_surface import model_surface
 from spinpipe.stages.neighbourhood import WorldCloud
-from spinpipe.stages.recognition import (
-    Examiner,
-    Hypotheses,
-    KnownObject,
-    Rules,
-    Verdict,
-    blocks,
-    decide,
-)
+from spinpipe.stages.recognition import blocks
+from spinpipe.stages.spin_kernel import map_threads
+from spinpipe.stages.verdict import KnownObject, Rules, Verdict
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -68,13 +74,11 @@ def verify_by_evidence(
     """
     if not candidates.clusters:
         return
+    surfaces = [model_surface(model, rng) for model in candidates.models]
+    fields = map_threads(_field, list(zip(candidates.models, surfaces, strict=True)), threads)
     objects = [
-        KnownObject(
-            build_model_field(model.name, *model_surface(model, rng)),
-            model.stretch,
-            "above" if model.visible_from == "above" else "all",
-        )
-        for model in candidates.models
+        KnownObject(field, model.stretch, "above" if model.visible_from == "above" else "all")
+        for field, model in zip(fields, candidates.models, strict=True)
     ]
     clusters = list(candidates.clusters)
     places = np.array([cluster.position for cluster in clusters], np.float64)
@@ -88,10 +92,16 @@ def verify_by_evidence(
         found.append(replace(table, candidate=rows[table.candidate]))
         advance(len(rows))
     table = Hypotheses.joined(found)
+    rows_of = table.rows_of_candidates(len(places))
     for verdict in decide(examiner, table, places, rules):
         cluster = clusters[verdict.candidate]
-        rivals = table.rows(table.candidate == verdict.candidate)
+        rivals = table.rows(rows_of[verdict.candidate])
         yield _detection(candidates, cluster, verdict), _trace(cluster, verdict, rivals)
+
+
+def _field(model: tuple[ObjectModel, tuple[F64, F64]]) -> ModelField:
+    known, (points, normals) = model
+    return build_model_field(known.name, points, normals)
 
 
 def _examine(task: _BlockTask, rows: I64) -> Hypotheses:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.stages.hypotheses import EVIDENCE
+from spinpipe.stages.evidence import EVIDENCE
 from spinpipe.stages.tolerance import Tolerance
 
 F64 = NDArray[np.float64]
@@ -46,7 +46,7 @@ def score_parts(
     ----------
     evidence : (S, len(EVIDENCE)), see ``hypotheses.refine_poses``.
     limits : of the model.
-    shell_share : what chance explains, see ``hypotheses.shell_share``.
+    shell_share : what chance explains, see ``tolerance.shell_share``.
     above_ground_m : (S,) height of the base above the local ground.
     height_m : (S,) height of the fitted model.
 

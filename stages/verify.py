@@ -27,8 +27,8 @@ from spinpipe.stages.evidence_verification import verify_by_evidence
 from spinpipe.stages.frames import inverse, world_from_scene
 from spinpipe.stages.icp_verification import IcpRules, verify_by_residual
 from spinpipe.stages.neighbourhood import WorldCloud
-from spinpipe.stages.recognition import Rules
 from spinpipe.stages.stage import Context, Progress, Section
+from spinpipe.stages.verdict import Rules
 
 
 class Verify:

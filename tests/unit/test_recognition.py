@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from spinpipe.stages.model_field import build_model_field
-from spinpipe.stages.recognition import KnownObject, Rules, verify_candidates
+from spinpipe.stages.recognition import verify_candidates
 from spinpipe.stages.scoring import PARTS
 from spinpipe.stages.shapes import Mesh, box, cylinder, merged, placed, sample_surface
 from spinpipe.stages.surroundings import measure_sampling
 from spinpipe.stages.vehicles import vehicle_mesh
+from spinpipe.stages.verdict import KnownObject, Rules
 
 
 def _known(name, mesh, stretch=0.0, visible_from="all"):
