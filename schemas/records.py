@@ -99,6 +99,11 @@ class ObjectModel:
     stretch: float = 0.0
     """Largest relative change of length along each axis; 0 for a rigid object."""
 
+    @property
+    def size(self) -> F32:
+        """(3,) extents of the whole object, seen or not, metres."""
+        return np.ptp(self.vertices if len(self.vertices) else self.points, axis=0)
+
 
 @dataclass(frozen=True)
 class Evidence:
