@@ -230,9 +230,9 @@ class FitTrace:
     start_heading_deg: F64
     """(S,) heading each start began with."""
     rms_m: F32
-    """(S, iterations); NaN where a start had stopped."""
+    """(S, iterations); NaN where a start had stopped, or where only its end was kept: the last."""
     poses: F64
-    """(iterations, 4, 4) T_world_object of the best start."""
+    """(iterations, 4, 4) T_world_object of the best start; one if only its end was kept."""
 
 
 @dataclass(frozen=True)

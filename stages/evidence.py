@@ -8,14 +8,11 @@ bounding box and is not ground, and *explained* when it lies on the model's surf
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
-
-import numpy as np
 
 from spinpipe.stages.compiled import inner
 from spinpipe.stages.outline_evidence import outline_evidence
-from spinpipe.stages.scene_evidence import scene_evidence
+from spinpipe.stages.scene_evidence import root_mean_square, scene_evidence
 from spinpipe.stages.side_evidence import side_evidence
 from spinpipe.stages.surface_evidence import surface_evidence
 
@@ -69,9 +66,6 @@ def gather_evidence(grid, body, field, pose, converged, gate, sharp):
     drop, ring = outline_evidence(grid, field, pose, gate)
     claim = scene_evidence(body, field, pose, gate)
     side_supported, side_contradicted = side_evidence(grid, field, pose, gate, sharp)
-    rms_m = np.inf
-    if claim.explained > 0.0:
-        rms_m = math.sqrt(claim.square_sum / claim.explained)
     return EvidenceColumns(
         1.0 if converged else 0.0,
         surface.supported,
@@ -82,7 +76,7 @@ def gather_evidence(grid, body, field, pose, converged, gate, sharp):
         claim.claimed,
         claim.explained,
         claim.inside,
-        rms_m,
+        root_mean_square(claim),
         drop,
         ring,
         side_supported,

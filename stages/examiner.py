@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.stages.evidence import EVIDENCE
-from spinpipe.stages.hypotheses import coarse_poses, refine_poses
+from spinpipe.stages.hypotheses import Course, coarse_poses, course_of, refine_poses
 from spinpipe.stages.hypothesis_table import Hypotheses
 from spinpipe.stages.resolve import resolve
 from spinpipe.stages.scoring import PARTS, score, score_parts
@@ -30,6 +31,15 @@ STARTS = 5
 """How many of them are refined, over all models, at least."""
 WORTH_A_SECOND_LOOK = 0.02
 """Score from which a place is tried with all models and headings."""
+
+
+@dataclass(frozen=True, eq=False)
+class Examination:
+    """All hypotheses about some candidates, and how those that are any good came about."""
+
+    table: Hypotheses
+    courses: dict[int, Course]
+    """Of the best hypothesis, by candidate."""
 
 
 class Examiner:
@@ -55,7 +65,7 @@ class Examiner:
         )
         return max(far) + self.ground_reach_m
 
-    def examine(self, points: NDArray[np.floating], places: F64, threads: int) -> Hypotheses:
+    def examine(self, points: NDArray[np.floating], places: F64, threads: int) -> Examination:
         """All hypotheses about candidates, given the points within ``reach_m`` of them.
 
         Parameters
@@ -65,11 +75,12 @@ class Examiner:
         threads : how many the kernels may use; the result is the same.
         """
         if len(points) == 0:
-            return Hypotheses.none()
+            return Examination(Hypotheses.none(), {})
         scene = build_surroundings(points, self.sampling, self.ground_reach_m)
         first = self._first_look(scene, places, threads)
         second = self._second_look(scene, first, threads)
-        return Hypotheses.joined([first, second])
+        table = Hypotheses.joined([first, second])
+        return Examination(table, self._courses(scene, table.rows(table.best_rows())))
 
     def _first_look(self, scene: Surroundings, places: F64, threads: int) -> Hypotheses:
         poses, gains, model = [], [], []
@@ -130,7 +141,16 @@ class Examiner:
             above = pose[rows, 2] - scene.ground_at(pose[rows, :2])
             height = known.field.size[2] * pose[rows, 6]
             parts[rows] = score_parts(evidence[rows], limits, self.shell[m], above, height)
-        return Hypotheses(candidate, model, pose, parts, evidence, score(parts))
+        return Hypotheses(candidate, model, start, pose, parts, evidence, score(parts))
+
+    def _courses(self, scene: Surroundings, best: Hypotheses) -> dict[int, Course]:
+        courses: dict[int, Course] = {}
+        for k in np.flatnonzero(best.score >= WORTH_A_SECOND_LOOK):
+            m = int(best.model[k])
+            courses[int(best.candidate[k])] = course_of(
+                scene, self.objects[m].field, self.limits[m], best.start[k]
+            )
+        return courses
 
     def sizes(self, table: Hypotheses) -> F64:
         """(S, 3) fitted extents of hypotheses."""

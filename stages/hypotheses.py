@@ -6,13 +6,16 @@ candidates change its result.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.stages.evidence import EVIDENCE
 from spinpipe.stages.field_lookup import POSE, field_arrays
-from spinpipe.stages.hypothesis_kernels import coarse_batch, refine_batch
+from spinpipe.stages.hypothesis_kernels import coarse_batch, refine_batch, refine_course
 from spinpipe.stages.model_field import ModelField
+from spinpipe.stages.registration import PASSES, STEPS
 from spinpipe.stages.spin_kernel import map_threads
 from spinpipe.stages.surroundings import Surroundings
 from spinpipe.stages.tolerance import Tolerance
@@ -85,6 +88,22 @@ def refine_poses(
     for _ in map_threads(work, _parts(len(starts)), threads):
         pass
     return poses, evidence
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """How a registration went: (I, 7) poses and (I,) residuals before each step and at the end."""
+
+    poses: F64
+    rms_m: F64
+
+
+def course_of(scene: Surroundings, model: ModelField, limits: Tolerance, start: F64) -> Course:
+    """The way of ``refine_poses`` from one start (7,)."""
+    poses, rms_m = np.empty((PASSES * STEPS + 1, POSE)), np.empty(PASSES * STEPS + 1)
+    ground_z = float(scene.ground_at(start[None, :2])[0])
+    count = refine_course(scene.grid, field_arrays(model), limits, ground_z, start, poses, rms_m)
+    return Course(poses[:count], rms_m[:count])
 
 
 def _parts(count: int) -> list[slice]:

@@ -16,6 +16,7 @@ from spinpipe.stages.compiled import inner, sources
 from spinpipe.stages.evidence import gather_evidence
 from spinpipe.stages.field_lookup import POSE, half_diagonal
 from spinpipe.stages.registration import Base, refine
+from spinpipe.stages.scene_evidence import root_mean_square, scene_evidence
 
 SOURCES = (
     "cell_grid",
@@ -84,7 +85,27 @@ def _kernels(sources: str):
             for k in range(len(found)):
                 evidence[c, k] = found[k]
 
-    return coarse_batch, refine_batch
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def refine_course(grid, field, limits, ground_z, start, course, rms_m):
+        """One registration of ``refine_batch`` again, with the way there.
+
+        Fills poses (I, 7) and residuals (I,), before each step and after the last; returns how many
+        there are.
+        """
+        _ = sources
+        body, ground = _fine_points(grid, field, limits, start)
+        if body.xyz.shape[0] < TOO_FEW:
+            return 0
+        base = Base(ground_z, limits.gate_m if limits.stretch > 0.0 else 0.0)
+        gates = _gates(limits)
+        pose, _, steps = refine(body, ground, field, start, gates, limits.stretch, base, course)
+        count = min(steps + 1, course.shape[0])
+        course[count - 1] = pose
+        for k in range(count):
+            rms_m[k] = root_mean_square(scene_evidence(body, field, course[k], limits.gate_m))
+        return count
+
+    return coarse_batch, refine_batch, refine_course
 
 
-coarse_batch, refine_batch = _kernels(sources(*SOURCES))
+coarse_batch, refine_batch, refine_course = _kernels(sources(*SOURCES))

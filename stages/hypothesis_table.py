@@ -18,10 +18,11 @@ I64 = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Hypotheses:
-    """Hypotheses as columns: which candidate, which model, where, how good."""
+    """Hypotheses as columns: which candidate, which model, from where to where, how good."""
 
     candidate: I64
     model: I64
+    start: F64
     pose: F64
     parts: F64
     evidence: F64
@@ -32,6 +33,7 @@ class Hypotheses:
         return Hypotheses(
             self.candidate[chosen],
             self.model[chosen],
+            self.start[chosen],
             self.pose[chosen],
             self.parts[chosen],
             self.evidence[chosen],
@@ -55,7 +57,7 @@ class Hypotheses:
         """No hypothesis."""
         rows = np.empty(0, np.int64)
         pose, parts, evidence = (np.empty((0, n)) for n in (POSE, len(PARTS), len(EVIDENCE)))
-        return Hypotheses(rows, rows, pose, parts, evidence, np.empty(0))
+        return Hypotheses(rows, rows, pose, pose, parts, evidence, np.empty(0))
 
     @staticmethod
     def joined(tables: Sequence[Hypotheses]) -> Hypotheses:
@@ -63,6 +65,7 @@ class Hypotheses:
         return Hypotheses(
             np.concatenate([t.candidate for t in tables]),
             np.concatenate([t.model for t in tables]),
+            np.concatenate([t.start for t in tables]),
             np.concatenate([t.pose for t in tables]),
             np.concatenate([t.parts for t in tables]),
             np.concatenate([t.evidence for t in tables]),

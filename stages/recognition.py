@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,22 +45,13 @@ def verify_candidates(
     """
     examiner = Examiner(objects, sampling)
     places = np.asarray(places, dtype=np.float64).reshape(-1, 3)
-    tables = []
+    tables: list[Hypotheses] = []
     for rows in blocks(places, block_m):
         low = places[rows, :2].min(axis=0) - examiner.reach_m
         high = places[rows, :2].max(axis=0) + examiner.reach_m
         near = np.all((points[:, :2] >= low) & (points[:, :2] <= high), axis=1)
-        table = examiner.examine(points[near], places[rows], threads)
-        tables.append(
-            Hypotheses(
-                rows[table.candidate],
-                table.model,
-                table.pose,
-                table.parts,
-                table.evidence,
-                table.score,
-            )
-        )
+        table = examiner.examine(points[near], places[rows], threads).table
+        tables.append(replace(table, candidate=rows[table.candidate]))
     if not tables:
         return []
     return decide(examiner, Hypotheses.joined(tables), places, rules)

@@ -20,6 +20,8 @@ from spinpipe.stages.ground_hole import hides_ground
 
 STEPS = 12
 """Iterations at one gate, at most."""
+PASSES = 3
+"""Gates that a candidate's registration goes through."""
 
 
 class Base(NamedTuple):

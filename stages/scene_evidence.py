@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from spinpipe.stages.compiled import inner
 from spinpipe.stages.field_lookup import nearest_sample
 
@@ -69,6 +71,12 @@ def scene_evidence(body, field, pose, gate):
             if _is_solid(field, ux / sx, uy / sy, uz / sz):
                 inside += weights[n]
     return Claim(claimed, explained, inside, square_sum)
+
+
+@inner
+def root_mean_square(claim):
+    """Distance of the explained points to the surface, metres; infinite without any."""
+    return math.sqrt(claim.square_sum / claim.explained) if claim.explained > 0.0 else np.inf
 
 
 @inner

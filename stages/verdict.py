@@ -70,15 +70,15 @@ class Verdict:
     alternative_margin: float
 
     @property
-    def T_world_object(self) -> F64:
-        """(4, 4) pose with the stretch."""
-        T = np.eye(4)
-        cos, sin = math.cos(self.pose[3]), math.sin(self.pose[3])
-        T[:3, :3] = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) * self.pose[4:7]
-        T[:3, 3] = self.pose[:3]
-        return T
-
-    @property
     def observed(self) -> float:
         """Share of the model's visible area that the scene says anything about."""
         return self.evidence.get("supported", 0.0) + self.evidence.get("contradicted", 0.0)
+
+
+def T_world_object(pose: F64) -> F64:
+    """(4, 4) of a pose (7,), with the stretch."""
+    T = np.eye(4)
+    cos, sin = math.cos(pose[3]), math.sin(pose[3])
+    T[:3, :3] = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) * pose[4:7]
+    T[:3, 3] = pose[:3]
+    return T

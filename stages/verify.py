@@ -35,7 +35,7 @@ class Verify:
     """Fit the model to each candidate's surroundings and decide."""
 
     name = "verify"
-    version = 1
+    version = 2
     inputs = (CLOUD, TILES, SCENE, MODELS, UPRIGHT, SAMPLING, SPIN_IMAGES, CLUSTERS)
     outputs = (TRACES, DETECTIONS, INSTANCES)
 
