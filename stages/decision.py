@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from spinpipe.stages.continuation import SIDES, continuing_sides
 from spinpipe.stages.evidence import EVIDENCE
 from spinpipe.stages.examiner import Examiner
 from spinpipe.stages.hypothesis_table import Hypotheses
@@ -21,6 +22,13 @@ def decide(examiner: Examiner, table: Hypotheses, places: F64, rules: Rules) -> 
     """The verdict on every candidate, given all hypotheses."""
     best = table.rows(table.best_rows())
     displaced_by = resolve(best.pose[:, :4], examiner.sizes(best), best.score)
+    sizes = examiner.sizes(best)
+    continuing = continuing_sides(
+        best.pose[:, :4],
+        sizes,
+        best.evidence[:, [EVIDENCE.index(side) for side in SIDES]],
+        (displaced_by < 0) & (best.score >= rules.min_score),
+    )
     position = {int(c): k for k, c in enumerate(best.candidate)}
     verdicts: list[Verdict] = []
     for candidate, rows in enumerate(table.rows_of_candidates(len(places))):
@@ -29,7 +37,9 @@ def decide(examiner: Examiner, table: Hypotheses, places: F64, rules: Rules) -> 
             verdicts.append(_nothing_there(candidate, places[candidate]))
         else:
             rivals = table.rows(rows)
-            verdicts.append(_judge(examiner, best, k, rivals, int(displaced_by[k]), rules))
+            verdicts.append(
+                _judge(examiner, best, k, rivals, int(displaced_by[k]), continuing[k], rules)
+            )
     return verdicts
 
 
@@ -47,6 +57,7 @@ def _judge(
     k: int,
     rivals: Hypotheses,
     displaced_by: int,
+    continuing: str,
     rules: Rules,
 ) -> Verdict:
     """The verdict on candidate ``best.candidate[k]``, given all hypotheses about it."""
@@ -63,6 +74,9 @@ def _judge(
             f"overlaps candidate {best.candidate[displaced_by]}, which explains the place better: "
             f"score {best.score[displaced_by]:.2f} against {value:.2f}"
         )
+    elif fate == "accepted" and continuing:
+        fate = "ambiguous"
+        reason = f"type: what stands there goes on beyond the {continuing} of the model"
     elif fate == "accepted" and margin < rules.min_margin:
         fate = "ambiguous"
         reason = f"heading: another one scores only {margin:.3f} less"

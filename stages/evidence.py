@@ -40,6 +40,11 @@ class EvidenceColumns(NamedTuple):
     side_supported: float
     """Shares of the upright surface, see ``side_evidence``."""
     side_contradicted: float
+    front: float
+    """This to ``right``: the drop at each side of the outline."""
+    left: float
+    back: float
+    right: float
 
 
 EVIDENCE = EvidenceColumns._fields
@@ -63,7 +68,7 @@ def gather_evidence(grid, body, field, pose, converged, gate, sharp):
     EvidenceColumns
     """
     surface = surface_evidence(grid, field, pose, gate, sharp)
-    drop, ring = outline_evidence(grid, field, pose, gate)
+    outline = outline_evidence(grid, field, pose, gate)
     claim = scene_evidence(body, field, pose, gate)
     side_supported, side_contradicted = side_evidence(grid, field, pose, gate, sharp)
     return EvidenceColumns(
@@ -77,8 +82,12 @@ def gather_evidence(grid, body, field, pose, converged, gate, sharp):
         claim.explained,
         claim.inside,
         root_mean_square(claim),
-        drop,
-        ring,
+        outline.drop,
+        outline.ring,
         side_supported,
         side_contradicted,
+        outline.front,
+        outline.left,
+        outline.back,
+        outline.right,
     )

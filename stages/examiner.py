@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from spinpipe.stages.evidence import EVIDENCE
 from spinpipe.stages.hypotheses import Course, coarse_poses, course_of, refine_poses
 from spinpipe.stages.hypothesis_table import Hypotheses
+from spinpipe.stages.reference import reference_product
 from spinpipe.stages.resolve import resolve
 from spinpipe.stages.scoring import PARTS, score, score_parts
 from spinpipe.stages.surroundings import Sampling, Surroundings, build_surroundings
@@ -54,6 +55,13 @@ class Examiner:
         self.shell = tuple(
             shell_share(o.field, t.gate_m) for o, t in zip(objects, self.limits, strict=True)
         )
+        self.reference = np.array(
+            [
+                reference_product(o.field, t, sampling, shell)
+                for o, t, shell in zip(objects, self.limits, self.shell, strict=True)
+            ]
+        )
+        self.stretch = np.array([o.stretch for o in objects])
         self.ground_reach_m = 1.4 * max(o.field.reach_m * (1 + o.stretch) for o in objects)
 
     @property
@@ -141,7 +149,8 @@ class Examiner:
             above = pose[rows, 2] - scene.ground_at(pose[rows, :2])
             height = known.field.size[2] * pose[rows, 6]
             parts[rows] = score_parts(evidence[rows], limits, self.shell[m], above, height)
-        return Hypotheses(candidate, model, start, pose, parts, evidence, score(parts))
+        value = score(parts, self.reference[model], self.stretch[model])
+        return Hypotheses(candidate, model, start, pose, parts, evidence, value)
 
     def _courses(self, scene: Surroundings, best: Hypotheses) -> dict[int, Course]:
         courses: dict[int, Course] = {}
