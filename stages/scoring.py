@@ -74,7 +74,7 @@ def score_parts(
     # many points make the ground, so its height is known much better than the noise of one
     stands = np.clip(2.0 - np.abs(above_ground_m) / (STANDS * height_m), 0.0, 1.0)
     return np.stack(
-        [model, sides, scene, np.sqrt(residual), np.sqrt(column["drop"]), stands], axis=1
+        [model, sides, scene, np.sqrt(residual), np.cbrt(column["drop"]), stands], axis=1
     )
 
 
