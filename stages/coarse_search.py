@@ -39,7 +39,7 @@ def coarse_fit(body, ground, field, pose, gate, enough):
     half_x, half_y = field.size[0] / 2 * sx, field.size[1] / 2 * sy
     top = field.size[2] * sz
     origin, inv, footprint = field.origin, 1.0 / field.voxel_m, field.footprint
-    surface = field.surface
+    samples = field.samples
     inv_gate2 = 1.0 / (gate * gate)
     explained = 0.0
     unexplained = 0.0
@@ -50,7 +50,7 @@ def coarse_fit(body, ground, field, pose, gate, enough):
         k = nearest_sample(field, ux / sx, uy / sy, uz / sz)
         if k < 0:
             continue
-        ex, ey, ez = ux - sx * surface[k, 0], uy - sy * surface[k, 1], uz - sz * surface[k, 2]
+        ex, ey, ez = ux - sx * samples[k, 0], uy - sy * samples[k, 1], uz - sz * samples[k, 2]
         share = 1.0 - (ex * ex + ey * ey + ez * ez) * inv_gate2
         if share > 0.0:
             explained += weights[n] * share

@@ -18,6 +18,7 @@ POSE = 7
 class FieldArrays(NamedTuple):
     """The arrays of a ``ModelField``; those of probes in place of their indices."""
 
+    samples: NDArray[np.float64]
     surface: NDArray[np.float64]
     """(S, 8) samples and normals in one row: one look at memory gives both."""
     reach: float
@@ -51,6 +52,7 @@ def field_arrays(model: ModelField) -> FieldArrays:
     top = model.samples[model.samples[:, 2] > 0.99 * model.size[2]]
     x, y = model.samples[:, 0], model.samples[:, 1]
     return FieldArrays(
+        samples=model.samples,
         surface=surface,
         reach=math.sqrt((x**2 + y**2).max()),
         probes=model.samples[model.probes],
