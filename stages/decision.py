@@ -74,7 +74,7 @@ def _judge(
             f"overlaps candidate {best.candidate[displaced_by]}, which explains the place better: "
             f"score {best.score[displaced_by]:.2f} against {value:.2f}"
         )
-    elif fate == "accepted" and continuing:
+    elif fate == "accepted" and continuing and not known.stretch:
         fate = "ambiguous"
         reason = f"type: what stands there goes on beyond the {continuing} of the model"
     elif fate == "accepted" and margin < rules.min_margin:

@@ -33,7 +33,7 @@ STANDS = 0.125
 EVEN = 0.62
 """Product of the parts, in that of a fully seen right instance, at which a hypothesis of a rigid
 model is as likely right as wrong."""
-EVEN_STRETCH = 3.0
+EVEN_STRETCH = 4.0
 """How much less may be asked of a shape that is known up to its stretch only."""
 STEEPNESS = 4.0
 """Slope of the score there, in powers of the product."""
