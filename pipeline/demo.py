@@ -36,6 +36,7 @@ height_m = 1.0
 bin_m = 0.1
 min_correlation = 0.4
 heights = "any"
+origins = "all"
 """
 
 

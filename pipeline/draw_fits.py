@@ -14,8 +14,15 @@ import numpy as np
 import rerun as rr
 
 from spinpipe.pipeline import palette
-from spinpipe.pipeline.draw_model import hidden, model_path, model_shape, model_tint, pose_of
-from spinpipe.pipeline.drawing import CANDIDATE, WORLD, at_candidate, put
+from spinpipe.pipeline.draw_model import (
+    hidden,
+    model_path,
+    model_shape,
+    model_tint,
+    model_tints,
+    pose_of,
+)
+from spinpipe.pipeline.drawing import CANDIDATE, WORLD, put
 from spinpipe.schemas.records import F32, F64, Detection, FitTrace, ObjectModel
 
 
@@ -77,23 +84,61 @@ def draw_pose(
         rec.log(path, model_tint(model, colour), pose_of(detection.T_world_object))
 
 
-def draw_fit(rec: rr.RecordingStream, fit: Fit, models: Mapping[str, ObjectModel]) -> None:
-    """Log the steps of one candidate: its model on the way to the reported pose."""
-    candidate = fit.detection.cluster
-    at_candidate(rec, candidate, fit.first_step)
-    draw_pose(rec, fit.detection, models)
-    if fit.detection.model not in models:
-        return
-    steps = fit.first_step + np.arange(len(fit.poses))
+def draw_fits(
+    rec: rr.RecordingStream, fits: Sequence[Fit], models: Mapping[str, ObjectModel]
+) -> None:
+    """Log the steps of all candidates: models on the way to the reported poses.
+
+    As columns, one call an entity: a scene has thousands of candidates.
+    """
+    half = np.deg2rad([fit.detection.heading_deg for fit in fits]) / 2
+    zero = np.zeros_like(half)
     rec.send_columns(
-        model_path("verify/fit", fit.detection.model),
+        "frames/candidate",
+        indexes=first_steps(fits),
+        columns=rr.Transform3D.columns(
+            translation=[fit.detection.position_world for fit in fits],
+            quaternion=np.stack([zero, zero, np.sin(half), np.cos(half)], axis=1),
+            child_frame=[CANDIDATE] * len(fits),
+            parent_frame=[WORLD] * len(fits),
+        ),
+    )
+    for model in models.values():
+        _draw_model(rec, fits, model)
+
+
+def first_steps(fits: Sequence[Fit]) -> list[rr.TimeColumn]:
+    """One row a candidate, at its first step."""
+    return [
+        rr.TimeColumn("candidate", sequence=[fit.detection.cluster for fit in fits]),
+        rr.TimeColumn("iteration", sequence=[fit.first_step for fit in fits]),
+    ]
+
+
+def _draw_model(rec: rr.RecordingStream, fits: Sequence[Fit], model: ObjectModel) -> None:
+    """Log where one model is at every step: nowhere while another one is fitted."""
+    path = model_path("verify/fit", model.name)
+    own = [fit for fit in fits if fit.detection.model == model.name]
+    if own:
+        colours = np.array([(*palette.FATES[fit.detection.fate], 130) for fit in own], np.uint8)
+        rec.send_columns(path, indexes=first_steps(own), columns=model_tints(model, colours))
+    rows: list[tuple[int, int, F64]] = []
+    shown = True  # as the best candidate's, by the row of the stage
+    for fit in fits:
+        mine = fit.detection.model == model.name
+        if mine or shown:
+            poses = fit.poses if mine else np.zeros((1, 4, 4))
+            rows += [(fit.detection.cluster, fit.first_step + i, T) for i, T in enumerate(poses)]
+        shown = mine
+    candidates, steps, poses = zip(*rows, strict=True)
+    T = np.array(poses, np.float32)
+    rec.send_columns(
+        path,
         indexes=[
-            rr.TimeColumn("candidate", sequence=np.full(len(steps), candidate)),
+            rr.TimeColumn("candidate", sequence=candidates),
             rr.TimeColumn("iteration", sequence=steps),
         ],
-        columns=rr.InstancePoses3D.columns(
-            translations=fit.poses[:, :3, 3], mat3x3=fit.poses[:, :3, :3]
-        ),
+        columns=rr.InstancePoses3D.columns(translations=T[:, :3, 3], mat3x3=T[:, :3, :3]),
     )
 
 

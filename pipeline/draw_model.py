@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 
 from spinpipe.pipeline.palette import Colour
-from spinpipe.schemas.records import F64, ObjectModel
+from spinpipe.schemas.records import F64, U8, ObjectModel
 
 _POINTS_SHOWN = 5000
 
@@ -32,6 +32,13 @@ def model_tint(model: ObjectModel, color: Colour) -> rr.Mesh3D | rr.Points3D:
     if not len(model.faces):
         return rr.Points3D.from_fields(colors=[color])
     return rr.Mesh3D.from_fields(albedo_factor=color)
+
+
+def model_tints(model: ObjectModel, colors: U8) -> rr.ComponentColumnList:
+    """(N, 4) colours of ``model_shape``, one a row."""
+    if not len(model.faces):
+        return rr.Points3D.columns(colors=colors)
+    return rr.Mesh3D.columns(albedo_factor=colors)
 
 
 def model_points(model: ObjectModel, color: Colour | None) -> rr.Points3D:

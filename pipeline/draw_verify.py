@@ -10,9 +10,17 @@ import numpy as np
 import rerun as rr
 
 from spinpipe.pipeline import palette
-from spinpipe.pipeline.draw_fits import Fit, draw_fit, draw_pose, draw_rms, draw_shapes, order_fits
+from spinpipe.pipeline.draw_fits import (
+    Fit,
+    draw_fits,
+    draw_pose,
+    draw_rms,
+    draw_shapes,
+    first_steps,
+    order_fits,
+)
 from spinpipe.pipeline.draw_model import model_bounds
-from spinpipe.pipeline.drawing import WORLD, Reader, at_candidate, at_stage, note, put
+from spinpipe.pipeline.drawing import NOTES, WORLD, Reader, at_stage, note, put
 from spinpipe.schemas import DETECTIONS, MODELS, TRACES
 from spinpipe.schemas.records import F64, Detection, ObjectModel
 
@@ -51,10 +59,15 @@ def draw_verify(read: Reader, rec: rr.RecordingStream, preview_points: int) -> N
     fits = order_fits(detections, read(TRACES))
     draw_rms(rec, fits)
     _draw_fates(rec, fits)
-    for fit in fits:
-        draw_fit(rec, fit, models)
-        at_candidate(rec, fit.detection.cluster, fit.first_step)
-        note(rec, _reasons(fit.detection))
+    draw_fits(rec, fits, models)
+    rec.send_columns(
+        NOTES,
+        indexes=first_steps(fits),
+        columns=rr.TextDocument.columns(
+            text=[_reasons(fit.detection) for fit in fits],
+            media_type=[rr.MediaType.MARKDOWN] * len(fits),
+        ),
+    )
 
 
 def _draw_boxes(
@@ -114,10 +127,7 @@ def _draw_fates(rec: rr.RecordingStream, fits: Sequence[Fit]) -> None:
     )
     rec.send_columns(
         "verify/fate",
-        indexes=[
-            rr.TimeColumn("candidate", sequence=[fit.detection.cluster for fit in fits]),
-            rr.TimeColumn("iteration", sequence=[fit.first_step for fit in fits]),
-        ],
+        indexes=first_steps(fits),
         columns=rr.StateChange.columns(state=[fit.detection.fate for fit in fits]),
     )
 

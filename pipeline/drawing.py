@@ -68,12 +68,10 @@ def at_stages(rec: rr.RecordingStream, path: str, first: str, last: str) -> None
     rec.set_time("stage", sequence=STAGE_NUMBER[first])
 
 
-def at_candidate(rec: rr.RecordingStream, candidate: int, iteration: int | None = None) -> None:
-    """Log what follows for one candidate, and from one step of the timeline ``iteration`` on."""
+def at_candidate(rec: rr.RecordingStream, candidate: int) -> None:
+    """Log what follows for one candidate."""
     rec.reset_time()
     rec.set_time("candidate", sequence=candidate)
-    if iteration is not None:
-        rec.set_time("iteration", sequence=iteration)
 
 
 def place(rec: rr.RecordingStream, path: str, frame: str) -> None:

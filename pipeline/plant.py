@@ -106,7 +106,7 @@ def plant_objects(folder: RunFolder, count: int, rng: np.random.Generator) -> li
 
 def match_radius_m(models: Sequence[ObjectModel]) -> float:
     """Farthest match: half the diagonal of the smallest model, at most 1.5 m."""
-    sizes = [np.ptp(m.points[:, :2], axis=0) for m in models]
+    sizes = [m.size[:2] for m in models]
     return min(1.5, min(float(np.hypot(*size)) / 2 for size in sizes))
 
 

@@ -99,6 +99,11 @@ class ObjectModel:
     stretch: float = 0.0
     """Largest relative change of length along each axis; 0 for a rigid object."""
 
+    @property
+    def size(self) -> F32:
+        """(3,) extents of the whole object, seen or not, metres."""
+        return np.ptp(self.vertices if len(self.vertices) else self.points, axis=0)
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -225,9 +230,9 @@ class FitTrace:
     start_heading_deg: F64
     """(S,) heading each start began with."""
     rms_m: F32
-    """(S, iterations); NaN where a start had stopped."""
+    """(S, iterations); NaN where a start had stopped, or where only its end was kept: the last."""
     poses: F64
-    """(iterations, 4, 4) T_world_object of the best start."""
+    """(iterations, 4, 4) T_world_object of the best start; one if only its end was kept."""
 
 
 @dataclass(frozen=True)

@@ -78,7 +78,7 @@ def _components(
     messages: Iterable[Hits], models: Sequence[ObjectModel], reach_m: float | None
 ) -> Iterator[Group]:
     """Delaunay components of each model's hits; the centroid is the candidate."""
-    sizes = {model.name: _size(model) for model in models}
+    sizes = {model.name: model.size for model in models}
     for hits in messages:
         longest_m = reach_m or float(np.hypot(*sizes[hits.model][:2])) / 2
         for rows in _rows_of_groups(delaunay_components(hits.points, longest_m)):
@@ -96,7 +96,7 @@ def _peaks(
         points = np.concatenate([hits.points for hits in members])
         correlation = np.concatenate([hits.correlation for hits in members])
         name = np.repeat([hits.model for hits in members], [len(hits.points) for hits in members])
-        narrow_m = min(float(_size(model)[:2].min()) / 2 for model in family)
+        narrow_m = min(float(model.size[:2].min()) / 2 for model in family)
         peaks, owner = suppress(points, correlation, reach_m or PEAK_HALF_WIDTHS * narrow_m)
         for peak, rows in zip(peaks, _rows_of_groups(owner), strict=True):
             yield str(name[peak]), vector(points[peak]), correlation[rows]
@@ -104,7 +104,7 @@ def _peaks(
 
 def _families(models: Sequence[ObjectModel]) -> list[list[ObjectModel]]:
     """Models that may be fitted to the same size, directly or through others, together."""
-    size = np.array([_size(model) for model in models])
+    size = np.array([model.size for model in models])
     stretch = np.array([model.stretch for model in models])[:, None]
     low, high = size * (1.0 - stretch), size * (1.0 + stretch)
     alike = np.all((low[:, None] <= high) & (high[:, None] >= low), axis=2)
@@ -113,10 +113,6 @@ def _families(models: Sequence[ObjectModel]) -> list[list[ObjectModel]]:
         [model for model, own in zip(models, family, strict=True) if own == number]
         for number in np.unique(family)
     ]
-
-
-def _size(model: ObjectModel) -> F32:
-    return np.ptp(model.points, axis=0)
 
 
 def _rows_of_groups(members: I64) -> list[I64]:

@@ -9,22 +9,29 @@ from typing import TypeVar
 
 import numpy as np
 
-from spinpipe.schemas.records import F64, I64, Cluster, Detection, FitTrace, Part, Sampling
+from spinpipe.schemas.records import (
+    F64,
+    I64,
+    Cluster,
+    Detection,
+    FitTrace,
+    ObjectModel,
+    Part,
+    Sampling,
+)
 from spinpipe.stages.candidates import Candidates, vector
+from spinpipe.stages.decision import decide
+from spinpipe.stages.evidence import EVIDENCE
+from spinpipe.stages.examiner import Examination, Examiner
 from spinpipe.stages.frames import heading_deg, transform
-from spinpipe.stages.hypotheses import EVIDENCE
-from spinpipe.stages.model_field import build_model_field
+from spinpipe.stages.hypotheses import Course
+from spinpipe.stages.hypothesis_table import Hypotheses
+from spinpipe.stages.model_field import ModelField, build_model_field
 from spinpipe.stages.model_surface import model_surface
 from spinpipe.stages.neighbourhood import WorldCloud
-from spinpipe.stages.recognition import (
-    Examiner,
-    Hypotheses,
-    KnownObject,
-    Rules,
-    Verdict,
-    blocks,
-    decide,
-)
+from spinpipe.stages.recognition import blocks
+from spinpipe.stages.spin_kernel import map_threads
+from spinpipe.stages.verdict import KnownObject, Rules, T_world_object, Verdict
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -51,7 +58,7 @@ def verify_by_evidence(
     rng: np.random.Generator,
     *,
     threads: int,
-    map_blocks: Callable[[Callable[[I64], Hypotheses], Iterable[I64]], Iterator[Hypotheses]],
+    map_blocks: Callable[[Callable[[I64], Examination], Iterable[I64]], Iterator[Examination]],
     advance: Callable[[int], None],
 ) -> Iterator[tuple[Detection, FitTrace | None]]:
     """Try every candidate as every model and decide about all of them together; yields in order.
@@ -68,33 +75,40 @@ def verify_by_evidence(
     """
     if not candidates.clusters:
         return
+    surfaces = [model_surface(model, rng) for model in candidates.models]
+    fields = map_threads(_field, list(zip(candidates.models, surfaces, strict=True)), threads)
     objects = [
-        KnownObject(
-            build_model_field(model.name, *model_surface(model, rng)),
-            model.stretch,
-            "above" if model.visible_from == "above" else "all",
-        )
-        for model in candidates.models
+        KnownObject(field, model.stretch, "above" if model.visible_from == "above" else "all")
+        for field, model in zip(fields, candidates.models, strict=True)
     ]
     clusters = list(candidates.clusters)
     places = np.array([cluster.position for cluster in clusters], np.float64)
     examiner = Examiner(objects, sampling)
     task = _BlockTask(examiner, candidates.cloud, places, threads)
     found: list[Hypotheses] = []
+    courses: dict[int, Course] = {}
     rows_of_blocks = list(blocks(places, BLOCK_REACHES * examiner.reach_m))
-    for rows, table in zip(
+    for rows, examined in zip(
         rows_of_blocks, map_blocks(partial(_examine, task), rows_of_blocks), strict=True
     ):
-        found.append(replace(table, candidate=rows[table.candidate]))
+        found.append(replace(examined.table, candidate=rows[examined.table.candidate]))
+        courses |= {int(rows[k]): course for k, course in examined.courses.items()}
         advance(len(rows))
     table = Hypotheses.joined(found)
+    rows_of = table.rows_of_candidates(len(places))
     for verdict in decide(examiner, table, places, rules):
         cluster = clusters[verdict.candidate]
-        rivals = table.rows(table.candidate == verdict.candidate)
-        yield _detection(candidates, cluster, verdict), _trace(cluster, verdict, rivals)
+        rivals = table.rows(rows_of[verdict.candidate])
+        course = courses.get(verdict.candidate)
+        yield _detection(candidates, cluster, verdict), _trace(cluster, verdict, rivals, course)
 
 
-def _examine(task: _BlockTask, rows: I64) -> Hypotheses:
+def _field(model: tuple[ObjectModel, tuple[F64, F64]]) -> ModelField:
+    known, (points, normals) = model
+    return build_model_field(known.name, points, normals)
+
+
+def _examine(task: _BlockTask, rows: I64) -> Examination:
     """Hypotheses about the candidates of one block."""
     places = task.places[rows]
     reach = np.array([task.examiner.reach_m, task.examiner.reach_m, np.inf])
@@ -104,7 +118,7 @@ def _examine(task: _BlockTask, rows: I64) -> Hypotheses:
 
 def _detection(candidates: Candidates, cluster: Cluster, verdict: Verdict) -> Detection:
     model = candidates.models[verdict.model]
-    pose = verdict.T_world_object
+    pose = T_world_object(verdict.pose)
     T_scene_object = candidates.T_scene_world @ pose
     evidence = verdict.evidence
     claimed = evidence.get("claimed", 0.0)
@@ -137,15 +151,23 @@ def _detection(candidates: Candidates, cluster: Cluster, verdict: Verdict) -> De
     )
 
 
-def _trace(cluster: Cluster, verdict: Verdict, rivals: Hypotheses) -> FitTrace | None:
-    """Where every start with the chosen model ended."""
-    rows = np.flatnonzero(rivals.model == verdict.model)
-    if len(rows) == 0:
+def _trace(
+    cluster: Cluster, verdict: Verdict, rivals: Hypotheses, course: Course | None
+) -> FitTrace | None:
+    """The course of the chosen start, and where every other one with the same model ended."""
+    rivals = rivals.rows(rivals.model == verdict.model)
+    if len(rivals.model) == 0:
         return None
-    rms_m = rivals.evidence[rows, EVIDENCE.index("rms_m")]
+    ends = rivals.evidence[:, EVIDENCE.index("rms_m")]
+    poses = verdict.pose[None] if course is None else course.poses
+    rms_m = np.full((len(ends), len(poses)), np.nan, np.float32)
+    rms_m[:, -1] = ends
+    if course is not None:
+        rms_m[np.argmax(rivals.score)] = course.rms_m
+    rms_m[np.isinf(rms_m)] = np.nan
     return FitTrace(
         cluster=cluster.id,
-        start_heading_deg=np.degrees(rivals.pose[rows, 3]) % 360.0,
-        rms_m=rms_m[:, None].astype(np.float32),
-        poses=verdict.T_world_object[None],
+        start_heading_deg=np.degrees(rivals.start[:, 3]) % 360.0,
+        rms_m=rms_m,
+        poses=np.array([T_world_object(pose) for pose in poses]),
     )

@@ -1,4 +1,4 @@
-"""Hypotheses about candidates: compiled batches of coarse search, refinement and evidence.
+"""Hypotheses about candidates: batches of coarse search, refinement and evidence on threads.
 
 Each candidate is worked on alone and by one thread, so neither the number of threads nor the other
 candidates change its result.
@@ -6,36 +6,22 @@ candidates change its result.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.stages.hypothesis_kernels import coarse_batch, refine_batch
+from spinpipe.stages.evidence import EVIDENCE
+from spinpipe.stages.field_lookup import POSE, field_arrays
+from spinpipe.stages.hypothesis_kernels import coarse_batch, refine_batch, refine_course
 from spinpipe.stages.model_field import ModelField
-from spinpipe.stages.registration import POSE
+from spinpipe.stages.registration import PASSES, STEPS
 from spinpipe.stages.spin_kernel import map_threads
 from spinpipe.stages.surroundings import Surroundings
 from spinpipe.stages.tolerance import Tolerance
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
-
-EVIDENCE = (
-    "converged",
-    "supported",
-    "contradicted",
-    "empty",
-    "covered",
-    "sheltered",
-    "claimed",
-    "explained",
-    "inside",
-    "rms_m",
-    "drop",
-    "ring",
-    "side_supported",
-    "side_contradicted",
-)
-"""Columns of the evidence of a hypothesis, see ``evidence.py``."""
 
 _CHUNK = 8
 
@@ -63,35 +49,10 @@ def coarse_poses(
     poses = np.zeros((len(places), keep, POSE))
     gains = np.zeros((len(places), keep))
     ground = scene.ground_at(places[:, :2])
-    top = _top_xy(model)
+    grid, field = scene.grid, field_arrays(model)
 
     def work(part: slice) -> None:
-        coarse_batch(
-            scene.points,
-            scene.weights,
-            scene.heights,
-            scene.start,
-            scene.cells,
-            scene.corner,
-            scene.cell_m,
-            places[part],
-            ground[part],
-            top,
-            model.samples,
-            model.origin,
-            model.voxel_m,
-            model.nearest,
-            model.footprint,
-            model.size,
-            limits.coarse_gate_m,
-            limits.step_m,
-            limits.headings,
-            limits.offset_m,
-            limits.low_m,
-            limits.stretch,
-            poses[part],
-            gains[part],
-        )
+        coarse_batch(grid, field, limits, places[part], ground[part], poses[part], gains[part])
 
     for _ in map_threads(work, _parts(len(places)), threads):
         pass
@@ -119,51 +80,30 @@ def refine_poses(
     poses = starts.copy()
     evidence = np.zeros((len(starts), len(EVIDENCE)))
     ground = scene.ground_at(starts[:, :2])
+    grid, field = scene.grid, field_arrays(model)
 
     def work(part: slice) -> None:
-        refine_batch(
-            scene.points,
-            scene.weights,
-            scene.heights,
-            scene.start,
-            scene.cells,
-            scene.corner,
-            scene.cell_m,
-            scene.sampling.density,
-            ground[part],
-            model.samples,
-            model.normals,
-            model.probes,
-            model.seen_weight,
-            model.samples[model.side_probes],
-            model.origin,
-            model.voxel_m,
-            model.nearest,
-            model.solid,
-            model.size,
-            model.edges,
-            model.depth_edge,
-            model.outline,
-            model.outline_normals,
-            model.outline_height,
-            limits.gate_m,
-            limits.sharp_m,
-            limits.coarse_gate_m,
-            limits.low_m,
-            limits.stretch,
-            poses[part],
-            evidence[part],
-        )
+        refine_batch(grid, field, limits, ground[part], poses[part], evidence[part])
 
     for _ in map_threads(work, _parts(len(starts)), threads):
         pass
     return poses, evidence
 
 
-def _top_xy(model: ModelField) -> F64:
-    """Horizontal position of the model's topmost surface, as the spin image takes it."""
-    top = model.samples[model.samples[:, 2] > 0.99 * model.size[2]]
-    return top[:, :2].mean(axis=0)
+@dataclass(frozen=True, eq=False)
+class Course:
+    """How a registration went: (I, 7) poses and (I,) residuals before each step and at the end."""
+
+    poses: F64
+    rms_m: F64
+
+
+def course_of(scene: Surroundings, model: ModelField, limits: Tolerance, start: F64) -> Course:
+    """The way of ``refine_poses`` from one start (7,)."""
+    poses, rms_m = np.empty((PASSES * STEPS + 1, POSE)), np.empty(PASSES * STEPS + 1)
+    ground_z = float(scene.ground_at(start[None, :2])[0])
+    count = refine_course(scene.grid, field_arrays(model), limits, ground_z, start, poses, rms_m)
+    return Course(poses[:count], rms_m[:count])
 
 
 def _parts(count: int) -> list[slice]:

@@ -165,7 +165,7 @@ class _Judge:
             coverage_scene=coverage[1],
             observed=1.0,
             score=max(0.0, 1.0 - rms_m / (2.0 * self._max_rms_m)),
-            size_m=vector(np.ptp(model.points, axis=0)),
+            size_m=vector(model.size),
         )
 
     def _decide(self, rms_m: float) -> tuple[str, str]:

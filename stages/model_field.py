@@ -7,16 +7,16 @@ sets, section 4].
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, KDTree
+from scipy.spatial import KDTree
 
-# Directions from which the model is looked at, to tell its body from the air around it: straight
-# down, then rings of eight. Lower rays would look underneath the model.
-_ELEVATIONS_DEG = (60.0, 40.0, 25.0)
-_AZIMUTHS = 8
+from spinpipe.stages.model_outline import hull_edges, outline_points
+from spinpipe.stages.model_sight import open_air, reached, turned_outward
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,8 @@ class ModelField:
     size : (3,) float64, extent of the bounding box; its base centre is the origin.
     origin, voxel_m : corner and pitch of the grid.
     nearest : (nx, ny, nz) int32, index of the sample nearest to each voxel's centre.
+    clearance : (nx, ny, nz) float32, square metres: no point of a voxel is nearer than its root to
+        any sample; negative in voxels wholly inside the bounding box.
     solid : (nx, ny, nz) bool, voxels inside the body: no ray from above reaches them.
     footprint : (nx, ny) bool, columns whose ground the body hides from above.
     edges : (E, 4) float64, edges of the convex hull of the footprint: a point on each, (x, y), and
@@ -54,6 +56,7 @@ class ModelField:
     origin: NDArray[np.float64]
     voxel_m: float
     nearest: NDArray[np.int32]
+    clearance: NDArray[np.float32]
     solid: NDArray[np.bool_]
     footprint: NDArray[np.bool_]
     edges: NDArray[np.float64]
@@ -62,7 +65,7 @@ class ModelField:
     outline_normals: NDArray[np.float64]
     outline_height: NDArray[np.float64]
 
-    @property
+    @cached_property
     def resolution_m(self) -> float:
         """Distance below which the field tells no two surfaces apart."""
         neighbour = KDTree(self.samples).query(self.samples, k=2)[0][:, 1]
@@ -136,30 +139,30 @@ def build_model_field(
     origin = np.array([-size[0] / 2 - margin, -size[1] / 2 - margin, -margin])
     shape = np.ceil((size + 2 * margin) / voxel).astype(int)
     centres = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), -1)
-    nearest = tree.query(origin + (centres.reshape(-1, 3) + 0.5) * voxel)[1]
+    distance, nearest = tree.query(origin + (centres.reshape(-1, 3) + 0.5) * voxel)
     surface = np.zeros(shape, dtype=bool)
     cell = np.floor((points - origin) / voxel).astype(int)
     surface[cell[:, 0], cell[:, 1], cell[:, 2]] = True
-    open_air, seen_steep = _open_air(surface)
-    solid = ~open_air & ~surface
+    air, seen_steep = open_air(surface)
+    solid = ~air & ~surface
     samples, outward = points[kept], normals[kept]
-    outward = _outward(samples, outward, open_air, origin, voxel)
-    seen = _reached(samples + 1.5 * voxel * outward, seen_steep, origin, voxel)
+    outward = turned_outward(samples, outward, air, origin, voxel)
+    seen = reached(samples + 1.5 * voxel * outward, seen_steep, origin, voxel)
     visible = np.flatnonzero(seen & (outward[:, 2] > 0.05))
     if len(visible) == 0:
         raise ValueError(f"model {name!r} has no surface that is visible from above")
     probe = visible[_spread_evenly(samples[visible], probes)]
-    open_to_air = _reached(samples + 1.5 * voxel * outward, open_air, origin, voxel)
+    open_to_air = reached(samples + 1.5 * voxel * outward, air, origin, voxel)
     sides = np.flatnonzero(open_to_air & (np.abs(outward[:, 2]) < 0.5))
     # a probe stands for the visible samples nearest to it
     owner = KDTree(samples[probe]).query(samples[visible])[1]
     weight = np.bincount(owner, weights=outward[visible, 2], minlength=len(probe))
-    edges = _hull_edges(samples[:, :2])
+    edges = hull_edges(samples[:, :2])
     flat = centres[:, :, 0, :2]
     middle = origin[:2] + (flat + 0.5) * voxel
     depth = ((edges[:, :2] - middle[:, :, None]) * edges[:, 2:]).sum(axis=-1)
     base = int(np.floor((0.05 * size[2] - origin[2]) / voxel))
-    outline, outline_normals = _outline(samples[:, :2], spacing=float(size[:2].min()) / 8)
+    outline, outline_normals = outline_points(samples[:, :2], spacing=float(size[:2].min()) / 8)
     near = KDTree(samples[:, :2]).query_ball_point(outline, r=float(size[:2].min()) / 2)
     return ModelField(
         name=name,
@@ -172,8 +175,9 @@ def build_model_field(
         origin=origin,
         voxel_m=voxel,
         nearest=nearest.reshape(shape).astype(np.int32),
+        clearance=_clearance(distance.reshape(shape), size, origin, voxel),
         solid=solid,
-        footprint=~open_air[:, :, base] | surface[:, :, base],
+        footprint=~air[:, :, base] | surface[:, :, base],
         edges=edges,
         depth_edge=depth.argmin(axis=-1).astype(np.int32),
         outline=outline,
@@ -182,31 +186,24 @@ def build_model_field(
     )
 
 
-def _hull_edges(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Edges of the convex hull of (N, 2) points: middle and outward unit normal of each."""
-    corners = points[ConvexHull(points).vertices]  # counter-clockwise
-    ends = np.roll(corners, -1, axis=0)
-    along = ends - corners
-    normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    return np.concatenate([(corners + ends) / 2, normal], axis=1)
-
-
-def _outline(
-    points: NDArray[np.float64], spacing: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Points every ``spacing`` along the convex hull of (N, 2) points, and outward normals."""
-    corners = points[ConvexHull(points).vertices]  # counter-clockwise
-    places, normals = [], []
-    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        length = float(np.hypot(*(b - a)))
-        count = max(1, round(length / spacing))
-        along = (np.arange(count) + 0.5) / count
-        if length < spacing / 4:
-            continue
-        places.append(a + along[:, None] * (b - a))
-        normals.append(np.tile([(b - a)[1] / length, -(b - a)[0] / length], (count, 1)))
-    return np.concatenate(places), np.concatenate(normals)
+def _clearance(
+    distance: NDArray[np.float64],
+    size: NDArray[np.float64],
+    origin: NDArray[np.float64],
+    voxel: float,
+) -> NDArray[np.float32]:
+    """See ``ModelField``, given the (nx, ny, nz) distances of the voxels' centres."""
+    rounding = 1e-3 * voxel
+    least = np.clip(distance - math.sqrt(3) / 2 * voxel - rounding, 0.0, None)
+    low = [o + np.arange(n) * voxel for o, n in zip(origin, distance.shape, strict=True)]
+    first = -size[0] / 2, -size[1] / 2, 0.0
+    last = size[0] / 2, size[1] / 2, size[2]
+    x, y, z = (
+        (edge > a + rounding) & (edge + voxel < b - rounding)
+        for edge, a, b in zip(low, first, last, strict=True)
+    )
+    within = x[:, None, None] & y[:, None] & z
+    return np.where(within, -(least**2), least**2).astype(np.float32)
 
 
 def _spread_evenly(points: NDArray[np.float64], count: int) -> NDArray[np.intp]:
@@ -224,60 +221,3 @@ def _spread_evenly(points: NDArray[np.float64], count: int) -> NDArray[np.intp]:
             break
         fine, coarse = (pitch, coarse) if len(first) > count else (fine, pitch)
     return np.sort(first)
-
-
-def _open_air(
-    surface: NDArray[np.bool_],
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Voxels that a ray from above reaches, and those that a steep one (60 degrees up) does."""
-    nx, ny, nz = surface.shape
-    reached = np.zeros_like(surface)
-    steep = np.zeros_like(surface)
-    directions = [(0.0, 0.0, True)]
-    for elevation in _ELEVATIONS_DEG:
-        run = 1 / np.tan(np.radians(elevation))
-        for k in range(_AZIMUTHS):
-            angle = 2 * np.pi * k / _AZIMUTHS
-            directions.append((run * np.cos(angle), run * np.sin(angle), elevation >= 60))
-    for dx, dy, is_steep in directions:
-        # the shadow of everything above, carried down one layer at a time along the ray
-        steps = int(np.ceil(max(abs(dx), abs(dy)))) + 1
-        pad = int(np.ceil(max(abs(dx), abs(dy)) * (nz + 1))) + 1
-        shadow = np.zeros((nx + 2 * pad, ny + 2 * pad), dtype=bool)
-        for k in range(nz - 1, -1, -1):
-            i = pad + round(dx * (nz - 1 - k))
-            j = pad + round(dy * (nz - 1 - k))
-            window = shadow[i : i + nx, j : j + ny]
-            lit = ~window
-            reached[:, :, k] |= lit
-            if is_steep:
-                steep[:, :, k] |= lit
-            for step in range(steps):  # a low ray crosses several voxels of one layer
-                depth = nz - 1 - k + step / steps
-                i, j = pad + round(dx * depth), pad + round(dy * depth)
-                shadow[i : i + nx, j : j + ny] |= surface[:, :, k]
-    return reached, steep
-
-
-def _reached(
-    points: NDArray[np.float64],
-    grid: NDArray[np.bool_],
-    origin: NDArray[np.float64],
-    voxel: float,
-) -> NDArray[np.bool_]:
-    cell = np.floor((points - origin) / voxel).astype(int)
-    cell = np.clip(cell, 0, np.array(grid.shape) - 1)
-    return grid[cell[:, 0], cell[:, 1], cell[:, 2]]
-
-
-def _outward(
-    samples: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    open_air: NDArray[np.bool_],
-    origin: NDArray[np.float64],
-    voxel: float,
-) -> NDArray[np.float64]:
-    """Normals turned to the side where the air is, if it is on one side only."""
-    ahead = _reached(samples + 2 * voxel * normals, open_air, origin, voxel)
-    behind = _reached(samples - 2 * voxel * normals, open_air, origin, voxel)
-    return np.where((behind & ~ahead)[:, None], -normals, normals)

@@ -29,7 +29,7 @@ class HeightBands:
     @classmethod
     def of(cls, models: Sequence[ObjectModel], sampling: Sampling) -> HeightBands:
         """Bands of models, widened by their stretch, by slack and by the noise."""
-        sizes = [np.ptp(model.points, axis=0) for model in models]
+        sizes = [model.size for model in models]
         bands: list[tuple[float, float]] = []
         for model, size in zip(models, sizes, strict=True):
             slack = max(SLACK * float(size[2]), 3.0 * sampling.noise_m)

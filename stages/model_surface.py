@@ -6,7 +6,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from spinpipe.schemas.records import F64, ObjectModel
-from spinpipe.stages.shapes import sample_surface
+from spinpipe.stages.seen_from_above import sample_seen, seen_from_around
+from spinpipe.stages.shapes import Mesh
 
 SURFACE_POINTS = 60_000
 NEIGHBOURS = 12
@@ -16,11 +17,12 @@ NEIGHBOURS = 12
 def model_surface(model: ObjectModel, rng: np.random.Generator) -> tuple[F64, F64]:
     """Points (N, 3) and unit normals (N, 3) of a model, object frame, metres.
 
-    A mesh is sampled anew, all of it. A cloud comes as it is; where it has no normals they are
-    those of planes through neighbouring points, of either sign.
+    A mesh is sampled anew, wherever it shows from around. A cloud comes as it is; where it has no
+    normals they are those of planes through neighbouring points, of either sign.
     """
     if len(model.faces):
-        return sample_surface(model.vertices.astype(np.float64), model.faces, SURFACE_POINTS, rng)
+        mesh = Mesh(model.vertices.astype(np.float64), model.faces.astype(np.int64))
+        return sample_seen(mesh, SURFACE_POINTS, seen_from_around, rng)
     points = model.points.astype(np.float64)
     normals = model.normals.astype(np.float64)
     known = np.linalg.norm(normals, axis=1) > 0

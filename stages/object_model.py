@@ -15,8 +15,8 @@ from pydantic import Field, field_validator, model_validator
 from spinpipe.schemas.records import F64, ObjectModel
 from spinpipe.stages.read_ply import read_header
 from spinpipe.stages.scene_source import open_scene
-from spinpipe.stages.seen_from_above import seen_from_above, seen_from_around
-from spinpipe.stages.shapes import Mesh, face_areas_and_normals, sample_surface, transform
+from spinpipe.stages.seen_from_above import sample_seen, seen_from_above, seen_from_around
+from spinpipe.stages.shapes import Mesh, face_areas_and_normals, transform
 from spinpipe.stages.stage import InputPath, Section, StageError
 from spinpipe.stages.vehicles import VEHICLES, vehicle_mesh
 
@@ -181,14 +181,9 @@ def _direction(axis: Axis) -> F64:
 
 def _sample_visible(mesh: Mesh, config: ModelConfig, rng: np.random.Generator) -> tuple[F64, F64]:
     """Like ``sample_surface``, but only points that show, with normals to where they show."""
-    above = config.visible_from == "above"
-    shows = seen_from_above if above else seen_from_around
-    points, normals = np.empty((0, 3)), np.empty((0, 3))
-    while len(points) < config.samples:
-        batch, batch_normals = sample_surface(*mesh, 2 * config.samples, rng)
-        seen = shows(batch, *mesh)
-        points = np.concatenate([points, batch[seen]])
-        normals = np.concatenate([normals, batch_normals[seen]])
-    if above:  # whichever way a face is wound: one sees the side that is turned up
-        normals[normals[:, 2] < 0] *= -1
-    return points[: config.samples], normals[: config.samples]
+    if config.visible_from == "all":
+        return sample_seen(mesh, config.samples, seen_from_around, rng)
+    points, normals = sample_seen(mesh, config.samples, seen_from_above, rng)
+    # Whichever way a face is wound: from above one sees the side that is turned up
+    normals[normals[:, 2] < 0] *= -1
+    return points, normals

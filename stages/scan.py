@@ -72,6 +72,20 @@ class Scan:
         bin_m: float | None = Field(
             None, gt=0, le=100, description="side of a bin; none: 1/8 of the radius"
         )
+        lift_m: float | None = Field(
+            None,
+            ge=0,
+            le=100,
+            description="how far above its point an origin is taken, so that a flat top falls "
+            "into the first row; 0 in the paper; none: half a bin",
+        )
+        noise_m: float | None = Field(
+            None,
+            ge=0,
+            le=100,
+            description="noise that the model's image is blurred by; 0 in the paper; none: as "
+            "measured",
+        )
         outside_weight: float = Field(
             1.0,
             ge=0,
@@ -106,8 +120,10 @@ class Scan:
         models = list(ctx.read(MODELS))
         grid = spin_grid(models, ctx.config)
         sampling = ctx.read_one(SAMPLING)
+        lift_m = grid.bin_m / 2 if ctx.config.lift_m is None else ctx.config.lift_m
+        noise_m = sampling.noise_m if ctx.config.noise_m is None else ctx.config.noise_m
         templates = [
-            _template(model, grid, sampling.noise_m, ctx.config.outside_weight, ctx.rng)
+            _template(model, grid, lift_m, noise_m, ctx.config.outside_weight, ctx.rng)
             for model in models
         ]
         cloud = WorldCloud.of(ctx.read(CLOUD), ctx.read_one(TILES), ctx.read_one(UPRIGHT))
@@ -119,6 +135,7 @@ class Scan:
             models=tuple(model.name for model in models),
             templates=tuple(templates),
             bands=bands,
+            lift_m=lift_m,
             origins=ctx.config.origins,
             min_correlation=ctx.config.min_correlation,
             voxel_m=ctx.config.voxel_m or VOXEL_RADII * grid.radius_m,
@@ -143,7 +160,7 @@ class Scan:
             ctx.write(SPIN_IMAGES, _model_image(model, template))
         for best, template in zip(found, templates, strict=True):
             if len(best.points):
-                ctx.write(SPIN_IMAGES, _scene_image(cloud, best, template))
+                ctx.write(SPIN_IMAGES, _scene_image(cloud, best, template, lift_m))
         for model_hits in found:
             ctx.write(HITS, model_hits)
             ctx.log(f"{len(model_hits.points)} hits of {model_hits.model}")
@@ -154,7 +171,7 @@ def spin_grid(models: Sequence[ObjectModel], config: Scan.Config) -> SpinGrid:
 
     One grid for all models: a point is binned once, however many there are.
     """
-    sizes = [np.ptp(model.points, axis=0) for model in models]
+    sizes = [model.size for model in models]
     narrow_m = min(float(min(size[0], size[1])) / 2 for size in sizes)
     radius_m = config.radius_m or RADIUS_HALF_WIDTHS * narrow_m
     return SpinGrid(
@@ -167,6 +184,7 @@ def spin_grid(models: Sequence[ObjectModel], config: Scan.Config) -> SpinGrid:
 def _template(
     model: ObjectModel,
     grid: SpinGrid,
+    lift_m: float,
     noise_m: float,
     outside_weight: float,
     rng: np.random.Generator,
@@ -176,7 +194,7 @@ def _template(
     noisy = np.concatenate(
         [points + noise_m * rng.standard_normal(points.shape) for _ in range(BLURS)]
     )
-    template = template_from_cloud(noisy, grid, origin=topmost_point(points))
+    template = template_from_cloud(noisy, grid, origin=topmost_point(points) + [0.0, 0.0, lift_m])
     if outside_weight == 1.0:
         return template
     return replace(template, weights=extent_weights(template.values, outside_weight))
@@ -186,10 +204,10 @@ def _model_image(model: ObjectModel, template: SpinTemplate) -> SpinImage:
     return _image(model.name, "model", template, template.values, topmost_point(model.points), 1.0)
 
 
-def _scene_image(cloud: WorldCloud, hits: Hits, template: SpinTemplate) -> SpinImage:
+def _scene_image(cloud: WorldCloud, hits: Hits, template: SpinTemplate, lift_m: float) -> SpinImage:
     """The scene's image at the best hit."""
     best = int(np.argmax(hits.correlation))
-    origin = hits.points[best].astype(np.float64)
+    origin = hits.points[best] + np.array([0.0, 0.0, lift_m])
     grid = template.grid
     reach = np.array([grid.radius_m, grid.radius_m, grid.height_m])
     points = cloud.inside(origin - reach, origin + [grid.radius_m, grid.radius_m, 0.0])

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.stages.hypotheses import EVIDENCE
+from spinpipe.stages.evidence import EVIDENCE
 from spinpipe.stages.tolerance import Tolerance
 
 F64 = NDArray[np.float64]
@@ -30,9 +30,11 @@ UNJUDGED = 0.3
 """Sides are believed in unless what contradicts them is more than this share of them."""
 STANDS = 0.125
 """How far off the ground a base may be, as a share of the height: kerbs, slopes, cut models."""
-EVEN = 0.37
-"""Product of the parts at which a hypothesis is as likely right as wrong: between right fits at the
-largest noise that leaves anything to see and the fits of a similar model at little noise."""
+EVEN = 0.62
+"""Product of the parts, in that of a fully seen right instance, at which a hypothesis of a rigid
+model is as likely right as wrong."""
+EVEN_STRETCH = 4.0
+"""How much less may be asked of a shape that is known up to its stretch only."""
 STEEPNESS = 4.0
 """Slope of the score there, in powers of the product."""
 
@@ -46,7 +48,7 @@ def score_parts(
     ----------
     evidence : (S, len(EVIDENCE)), see ``hypotheses.refine_poses``.
     limits : of the model.
-    shell_share : what chance explains, see ``hypotheses.shell_share``.
+    shell_share : what chance explains, see ``tolerance.shell_share``.
     above_ground_m : (S,) height of the base above the local ground.
     height_m : (S,) height of the fitted model.
 
@@ -72,16 +74,19 @@ def score_parts(
     # many points make the ground, so its height is known much better than the noise of one
     stands = np.clip(2.0 - np.abs(above_ground_m) / (STANDS * height_m), 0.0, 1.0)
     return np.stack(
-        [model, sides, scene, np.sqrt(residual), np.sqrt(column["drop"]), stands], axis=1
+        [model, sides, scene, np.sqrt(residual), np.cbrt(column["drop"]), stands], axis=1
     )
 
 
-def score(parts: F64) -> F64:
+def score(parts: F64, reference: F64, stretch: F64) -> F64:
     """Score 0..1 of each row of parts: a logistic function of the logarithm of their product.
 
     Parameters
     ----------
     parts : (S, len(PARTS))
+    reference : (S,) product of the parts of a right instance, see ``reference``.
+    stretch : (S,) of the models.
     """
-    power = parts.prod(axis=1) ** STEEPNESS
-    return power / (power + EVEN**STEEPNESS)
+    even = EVEN / (1.0 + EVEN_STRETCH * stretch)
+    power = (parts.prod(axis=1) / reference) ** STEEPNESS
+    return power / (power + even**STEEPNESS)

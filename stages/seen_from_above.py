@@ -6,12 +6,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numba import njit
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from spinpipe.schemas.records import F64
+from spinpipe.stages.shapes import Mesh, sample_surface
 
 I64 = NDArray[np.int64]
 
@@ -43,6 +46,19 @@ def seen_from_around(points: F64, vertices: F64, faces: I64) -> NDArray[np.bool_
             towards = _turned_upwards(elevation, azimuth)
             seen[rest] = seen_from_above(points[rest] @ towards.T, vertices @ towards.T, faces)
     return seen
+
+
+def sample_seen(
+    mesh: Mesh, count: int, seen: Callable[[F64, F64, I64], NDArray[np.bool_]], rng: Generator
+) -> tuple[F64, F64]:
+    """Like ``sample_surface``, but only points that are ``seen``: points and normals (count, 3)."""
+    points, normals = np.empty((0, 3)), np.empty((0, 3))
+    while len(points) < count:
+        batch, batch_normals = sample_surface(*mesh, count, rng)
+        shows = seen(batch, *mesh)
+        points = np.concatenate([points, batch[shows]])
+        normals = np.concatenate([normals, batch_normals[shows]])
+    return points[:count], normals[:count]
 
 
 def _turned_upwards(elevation: float, azimuth: float) -> F64:

@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spinpipe.stages.compiled import inner
 from spinpipe.stages.spin_count import BUFFER, idle_lanes
-from spinpipe.stages.spin_gather import LANES, fill, inner
+from spinpipe.stages.spin_gather import LANES, fill
 
 MAX_SHIFT_BINS = 3.0
 """Groups are tested from this reach ``d`` on; wider ones are split first."""

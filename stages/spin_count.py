@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.stages.spin_gather import LANES, depth_window, fill, inlined, inner
+from spinpipe.stages.compiled import inlined, inner
+from spinpipe.stages.spin_gather import LANES, depth_window, fill
 from spinpipe.stages.spin_image import FLAT_VARIANCE
 
 BUFFER = 1024

@@ -14,25 +14,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-inner = njit(
-    nogil=True,
-    error_model="numpy",
-    no_cpython_wrapper=True,
-    no_cfunc_wrapper=True,
-)
-"""Compiles what only other kernels call; ``spin_scan`` caches the outermost ones."""
-
-inlined = njit(
-    nogil=True,
-    error_model="numpy",
-    no_cpython_wrapper=True,
-    no_cfunc_wrapper=True,
-    forceinline=True,
-)
-"""The same for what is called at every origin."""
+from spinpipe.stages.compiled import inlined, inner
 
 LANES = 16
 """Points handled at once by the vectorised loops; runs are read in whole multiples."""

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from spinpipe.stages.compiled import inner
 from spinpipe.stages.spin_classes import (
     MARGIN_BINS,
     MAX_LIFT_BINS,
@@ -29,7 +30,7 @@ from spinpipe.stages.spin_classes import (
     widened,
 )
 from spinpipe.stages.spin_count import correlate_origin, grid_bins, wants_grid
-from spinpipe.stages.spin_gather import depth_window, fill, inner
+from spinpipe.stages.spin_gather import depth_window, fill
 
 LIFT_WEIGHT = 6.0
 """How much sooner a group is split by height than by width."""

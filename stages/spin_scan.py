@@ -1,32 +1,25 @@
 """Compiled loops over blocks of neighbouring origins, see ``spin_kernel``.
 
-Only these outermost kernels are cached on disk. Numba's cache looks at this file alone, so the
-sources of all kernels are part of its key: a change to any of them compiles anew.
+Only these outermost kernels are cached on disk, see ``compiled``.
 """
 # pyright: basic
 
 from __future__ import annotations
 
-import hashlib
-from pathlib import Path
-
 import numpy as np
 from numba import njit
 
+from spinpipe.stages.compiled import inner, sources
 from spinpipe.stages.spin_count import (
     correlate_counted,
     count_origin,
     grid_bins,
 )
-from spinpipe.stages.spin_gather import bounding_box, gather, inner
+from spinpipe.stages.spin_gather import bounding_box, gather
 from spinpipe.stages.spin_pruning import search_group
 
-
-def _sources() -> str:
-    """Digest of the kernels' sources."""
-    names = ("gather", "count", "classes", "pruning", "scan", "image")
-    texts = [Path(__file__).with_name(f"spin_{name}.py").read_bytes() for name in names]
-    return hashlib.sha256(b"".join(texts)).hexdigest()
+SOURCES = ("spin_gather", "spin_count", "spin_classes", "spin_pruning", "spin_scan", "spin_image")
+"""Modules whose kernels and constants these are made of."""
 
 
 @inner
@@ -97,4 +90,4 @@ def _kernels(sources: str):
     return count_blocks, scan_blocks, prune_blocks
 
 
-count_blocks, scan_blocks, prune_blocks = _kernels(_sources())
+count_blocks, scan_blocks, prune_blocks = _kernels(sources(*SOURCES))

@@ -14,6 +14,7 @@ from scipy.ndimage import percentile_filter
 from scipy.special import gammaincinv
 
 from spinpipe.schemas.records import Sampling
+from spinpipe.stages.cell_grid import CellGrid
 from spinpipe.stages.columns import column_order
 
 F64 = NDArray[np.float64]
@@ -49,6 +50,22 @@ class Surroundings:
     corner: F64
     cell_m: float
     sampling: Sampling
+
+    @property
+    def grid(self) -> CellGrid:
+        """The points as kernels walk over them."""
+        rows, columns = (int(n) for n in self.cells)
+        return CellGrid(
+            self.points,
+            self.weights,
+            self.heights,
+            self.start,
+            rows,
+            columns,
+            self.corner,
+            float(self.cell_m),
+            float(self.sampling.density),
+        )
 
     def ground_at(self, xy: F64) -> F64:
         """Height of the local ground at (K, 2) places: that under the nearest point's cell."""

@@ -32,6 +32,8 @@ class TileScan:
     """One a model."""
     bands: HeightBands | None
     """None: origins at any height."""
+    lift_m: float
+    """How far above its point an origin is taken."""
     origins: Origins
     min_correlation: float
     voxel_m: float
@@ -48,7 +50,8 @@ class TileScan:
         """
         around, own, eligible = self._surroundings(tile)
         index = build_index(around)
-        origins, own = around[eligible], own[eligible]
+        points, own = around[eligible], own[eligible]
+        origins = points + np.array([0, 0, self.lift_m], np.float32)
         if self.origins == "voxel":
             correlation = correlate_coarse_to_fine(
                 index,
@@ -62,7 +65,7 @@ class TileScan:
             )
         else:
             if self.origins == "subset":
-                own &= Voxels.of(origins, self.voxel_m).represents()
+                own &= Voxels.of(points, self.voxel_m).represents()
             correlation = correlate(
                 index,
                 origins[own],
@@ -70,19 +73,20 @@ class TileScan:
                 self.threads,
                 min_correlation=self.min_correlation if self.pruned else None,
             )
-        return self._scores(origins[own], correlation.T)
+        return self._scores(points[own], correlation.T)
 
     def _surroundings(self, tile: int) -> tuple[F32, Mask, Mask]:
         """Points that the tile's origins may see; which are its own; which may be origins."""
         radius_m, height_m = self.reach
         margin_m = 0.0 if self.origins == "all" else halo_m(self.voxel_m)
+        above_m = self.lift_m + margin_m
         if self.bands:
             reach_m = max(radius_m, self.bands.halo_m) + margin_m
-            around, own = self.cloud.around(tile, reach_m, np.inf, margin_m)
+            around, own = self.cloud.around(tile, reach_m, np.inf, above_m)
             eligible = self.bands.select(around)
         else:
             below_m = height_m + margin_m
-            around, own = self.cloud.around(tile, radius_m + margin_m, below_m, margin_m)
+            around, own = self.cloud.around(tile, radius_m + margin_m, below_m, above_m)
             eligible = np.ones(len(around), bool)
         if self.origins == "all":
             return around, own, eligible & own

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from spinpipe.stages.model_field import ModelField
 
 
-@dataclass(frozen=True)
-class Tolerance:
+class Tolerance(NamedTuple):
     """What a fit of one model is judged by; all follow from model, density and noise.
 
     Attributes
@@ -62,7 +61,7 @@ def tolerance(model: ModelField, stretch: float, spacing_m: float, noise_m: floa
         headings=max(16, math.ceil(2 * math.pi * half_length / (3 * step))),
         offset_m=0.9 * narrow,
         low_m=max(3 * noise_m, 0.07 * model.size[2]),
-        stretch=stretch,
+        stretch=float(stretch),
     )
 
 

@@ -27,15 +27,15 @@ from spinpipe.stages.evidence_verification import verify_by_evidence
 from spinpipe.stages.frames import inverse, world_from_scene
 from spinpipe.stages.icp_verification import IcpRules, verify_by_residual
 from spinpipe.stages.neighbourhood import WorldCloud
-from spinpipe.stages.recognition import Rules
 from spinpipe.stages.stage import Context, Progress, Section
+from spinpipe.stages.verdict import Rules
 
 
 class Verify:
     """Fit the model to each candidate's surroundings and decide."""
 
     name = "verify"
-    version = 1
+    version = 2
     inputs = (CLOUD, TILES, SCENE, MODELS, UPRIGHT, SAMPLING, SPIN_IMAGES, CLUSTERS)
     outputs = (TRACES, DETECTIONS, INSTANCES)
 

@@ -3,12 +3,15 @@
 import numpy as np
 import pytest
 
+from spinpipe.stages.evidence import EVIDENCE
+from spinpipe.stages.examiner import Examiner
 from spinpipe.stages.model_field import build_model_field
-from spinpipe.stages.recognition import KnownObject, Rules, verify_candidates
+from spinpipe.stages.recognition import verify_candidates
 from spinpipe.stages.scoring import PARTS
 from spinpipe.stages.shapes import Mesh, box, cylinder, merged, placed, sample_surface
 from spinpipe.stages.surroundings import measure_sampling
 from spinpipe.stages.vehicles import vehicle_mesh
+from spinpipe.stages.verdict import KnownObject, Rules
 
 
 def _known(name, mesh, stretch=0.0, visible_from="all"):
@@ -96,6 +99,19 @@ def test_threads_order_and_blocks_leave_no_trace(cars, lot):
     for a, b in zip(first, other, strict=True):
         assert np.array_equal(a.pose, b.pose)
         assert (a.fate, a.reason, a.score) == (b.fate, b.reason, b.score)
+
+
+def test_courses_lead_from_the_start_to_the_fit(cars, lot):
+    cloud = _cloud(lot, 24, 110)
+    found = Examiner(cars, measure_sampling(cloud)).examine(cloud, np.array(PLACES, float), 1)
+    best = found.table.rows(found.table.best_rows())
+    assert {0, 1, 3} <= set(found.courses)
+    for candidate, course in found.courses.items():
+        k = list(best.candidate).index(candidate)
+        assert np.array_equal(course.poses[0], best.start[k])
+        assert np.array_equal(course.poses[-1], best.pose[k])
+        assert course.rms_m[-1] == best.evidence[k, EVIDENCE.index("rms_m")]
+        assert 2 < len(course.poses) == len(course.rms_m)
 
 
 def test_turned_and_shifted_scene_moves_detections_with_it(cars, lot):

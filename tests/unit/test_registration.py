@@ -1,12 +1,17 @@
 import numpy as np
 import pytest
 
+from spinpipe.stages.candidate_points import Points
+from spinpipe.stages.coarse_search import coarse_fit
+from spinpipe.stages.field_lookup import field_arrays
 from spinpipe.stages.model_field import build_model_field
-from spinpipe.stages.registration import coarse_fit, refine
+from spinpipe.stages.registration import Base, refine
 from spinpipe.stages.shapes import box, cylinder, merged, placed, sample_surface
 from spinpipe.stages.vehicles import vehicle_mesh
 
-NOTHING = np.empty((0, 3)), np.empty(0)
+NOTHING = Points(np.empty((0, 3)), np.empty(0))
+FREE = Base(0.0, 0.0)
+NO_COURSE = np.empty((0, 7))
 
 
 @pytest.fixture(scope="module")
@@ -26,24 +31,14 @@ def _scene(kind, pose, count=2000, noise=0.0, seed=1):
     return _posed(points, pose) + rng.normal(0, noise, points.shape)
 
 
+def _even(points):
+    return Points(points, np.ones(len(points)))
+
+
 def _refined(field, points, start, stretch=0.0, gate=0.1):
-    return refine(
-        points,
-        np.ones(len(points)),
-        *NOTHING,
-        field.samples,
-        field.normals,
-        field.origin,
-        field.voxel_m,
-        field.nearest,
-        field.edges,
-        field.depth_edge,
-        start,
-        np.array([0.4, 0.2, gate]),
-        stretch,
-        0.0,
-        0.0,
-    )
+    gates = np.array([0.4, 0.2, gate])
+    args = field_arrays(field), start, gates, stretch, FREE, NO_COURSE
+    return refine(_even(points), NOTHING, *args)[:2]
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.0, 2.5, -2.0])
@@ -92,12 +87,9 @@ def test_a_hole_in_the_ground_guides_a_sparse_body(saloon):
         np.c_[rng.uniform(-0.3, 0.0, 30), rng.uniform(-0.2, 0.2, 30), np.full(30, 1.42)], truth
     )
     start = truth + [0.25, 0.2, 0, 0.08, 0, 0, 0]
-    args = (
-        saloon.samples, saloon.normals, saloon.origin, saloon.voxel_m, saloon.nearest,
-        saloon.edges, saloon.depth_edge, start, np.array([0.4, 0.2]), 0.0, 0.0, 0.0,
-    )  # fmt: skip
-    pose, _ = refine(roof, np.ones(30), ground, np.ones(len(ground)), *args)
-    alone, _ = refine(roof, np.ones(30), *NOTHING, *args)
+    args = field_arrays(saloon), start, np.array([0.4, 0.2]), 0.0, FREE, NO_COURSE
+    pose, *_ = refine(_even(roof), _even(ground), *args)
+    alone, *_ = refine(_even(roof), NOTHING, *args)
     off = np.hypot(*(pose[:2] - truth[:2]))
     assert off < 0.15
     assert off < np.hypot(*(alone[:2] - truth[:2]))
@@ -108,10 +100,7 @@ def test_coarse_fit_prefers_the_truth_and_bounds_hold(saloon):
     points = _scene("saloon", truth)
 
     def fit(pose):
-        return coarse_fit(
-            points, np.ones(len(points)), *NOTHING, saloon.samples, saloon.origin,
-            saloon.voxel_m, saloon.nearest, saloon.footprint, saloon.size, pose, 0.25, 50.0,
-        )  # fmt: skip
+        return coarse_fit(_even(points), NOTHING, field_arrays(saloon), pose, 0.25, 50.0)
 
     best = fit(truth)
     assert 0.8 < best <= 1

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spinpipe.stages import spin_scan
 from spinpipe.stages.spin_image import SpinGrid, SpinTemplate, correlation, spin_image
 from spinpipe.stages.spin_kernel import (
     ScanWork,
@@ -190,17 +185,3 @@ def test_numbers_that_are_not_finite_are_refused():
         build_index(np.array([[0.0, np.nan, 0.0]]))
     with pytest.raises(ValueError, match="NaN"):
         correlate(build_index(np.zeros((1, 3))), np.array([[np.inf, 0, 0]]), [])
-
-
-def test_cached_kernels_are_keyed_by_all_kernel_sources():
-    """Numba looks only at the file of the outermost kernel; the rest is in what it encloses."""
-    folder = Path(spin_scan.__file__).parent
-    names = ("gather", "count", "classes", "pruning", "scan", "image")
-    texts = [(folder / f"spin_{name}.py").read_bytes() for name in names]
-    digest = hashlib.sha256(b"".join(texts)).hexdigest()
-    for kernel in (spin_scan.scan_blocks, spin_scan.prune_blocks, spin_scan.count_blocks):
-        enclosed = kernel.py_func.__closure__ or ()
-        assert digest in [cell.cell_contents for cell in enclosed]
-    used = {m for m in sys.modules if m.startswith("spinpipe.stages.spin_")}
-    host = {"kernel", "index", "voxel"}  # not compiled
-    assert {m.removeprefix("spinpipe.stages.spin_") for m in used} <= set(names) | host

@@ -49,6 +49,7 @@ def scan(
         models=("car",),
         templates=(template_from_cloud(CAR, GRID),),
         bands=bands,
+        lift_m=0.1,
         origins=origins,
         min_correlation=0.5,
         voxel_m=0.3,

@@ -20,6 +20,7 @@ def njit(
     forceinline: bool = ...,
     error_model: Literal["python", "numpy"] = ...,
     boundscheck: bool = ...,
+    fastmath: bool | set[str] = ...,
     no_cpython_wrapper: bool = ...,
     no_cfunc_wrapper: bool = ...,
 ) -> Callable[[Callable[..., Any]], Dispatcher]: ...

@@ -1,0 +1,69 @@
+"""What of a model is seen from above, and which side of its surface the air is on."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Directions from which the model is looked at, to tell its body from the air around it: straight
+# down, then rings of eight. Lower rays would look underneath the model.
+_ELEVATIONS_DEG = (60.0, 40.0, 25.0)
+_AZIMUTHS = 8
+
+
+def open_air(
+    surface: NDArray[np.bool_],
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Voxels that a ray from above reaches, and those that a steep one (60 degrees up) does."""
+    nx, ny, nz = surface.shape
+    seen = np.zeros_like(surface)
+    steep = np.zeros_like(surface)
+    directions = [(0.0, 0.0, True)]
+    for elevation in _ELEVATIONS_DEG:
+        run = 1 / np.tan(np.radians(elevation))
+        for k in range(_AZIMUTHS):
+            angle = 2 * np.pi * k / _AZIMUTHS
+            directions.append((run * np.cos(angle), run * np.sin(angle), elevation >= 60))
+    for dx, dy, is_steep in directions:
+        # the shadow of everything above, carried down one layer at a time along the ray
+        steps = int(np.ceil(max(abs(dx), abs(dy)))) + 1
+        pad = int(np.ceil(max(abs(dx), abs(dy)) * (nz + 1))) + 1
+        shadow = np.zeros((nx + 2 * pad, ny + 2 * pad), dtype=bool)
+        for k in range(nz - 1, -1, -1):
+            i = pad + round(dx * (nz - 1 - k))
+            j = pad + round(dy * (nz - 1 - k))
+            window = shadow[i : i + nx, j : j + ny]
+            lit = ~window
+            seen[:, :, k] |= lit
+            if is_steep:
+                steep[:, :, k] |= lit
+            for step in range(steps):  # a low ray crosses several voxels of one layer
+                depth = nz - 1 - k + step / steps
+                i, j = pad + round(dx * depth), pad + round(dy * depth)
+                shadow[i : i + nx, j : j + ny] |= surface[:, :, k]
+    return seen, steep
+
+
+def reached(
+    points: NDArray[np.float64],
+    grid: NDArray[np.bool_],
+    origin: NDArray[np.float64],
+    voxel: float,
+) -> NDArray[np.bool_]:
+    """Whether the voxels of points are set in a grid."""
+    cell = np.floor((points - origin) / voxel).astype(int)
+    cell = np.clip(cell, 0, np.array(grid.shape) - 1)
+    return grid[cell[:, 0], cell[:, 1], cell[:, 2]]
+
+
+def turned_outward(
+    samples: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    air: NDArray[np.bool_],
+    origin: NDArray[np.float64],
+    voxel: float,
+) -> NDArray[np.float64]:
+    """Normals turned to the side where the air is, if it is on one side only."""
+    ahead = reached(samples + 2 * voxel * normals, air, origin, voxel)
+    behind = reached(samples - 2 * voxel * normals, air, origin, voxel)
+    return np.where((behind & ~ahead)[:, None], -normals, normals)
