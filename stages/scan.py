@@ -49,7 +49,7 @@ class Scan:
     """Correlates the scene's spin images with those of the models."""
 
     name = "scan"
-    version = 2
+    version = 3
     inputs = (CLOUD, TILES, MODELS, UPRIGHT, SAMPLING)
     outputs = (SCORES, SPIN_IMAGES, HITS)
 

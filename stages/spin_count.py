@@ -38,17 +38,21 @@ class Templates(NamedTuple):
 
     ``numbers`` (G, 3) float32: radius_sq, height and bins_per_m of each grid; ``sizes`` (G, 2)
     int32: rows and cols; ``first`` (G + 1,) int64: first template of each grid; ``alike`` (T,):
-    whether a template has the grid and the weights of the one before; ``weights`` (T, widest k)
-    float64, of sum 1; ``values`` (T, widest k) float64: weights times unit values; ``least`` (T,)
-    float32: least correlation of a hit.
+    whether a template has the grid and the weights of the one before; ``even`` (T,): whether it
+    weighs all bins alike; ``weights`` (T, widest k) float64, of sum 1; ``values`` (T, widest k)
+    float64: weights times unit values; ``parts`` (T, widest k) int32: the same in units of ``unit``
+    (T,) float64; ``least`` (T,) float32: least correlation of a hit.
     """
 
     numbers: NDArray[np.float32]
     sizes: NDArray[np.int32]
     first: NDArray[np.int64]
     alike: NDArray[np.bool_]
+    even: NDArray[np.bool_]
     weights: NDArray[np.float64]
     values: NDArray[np.float64]
+    parts: NDArray[np.int32]
+    unit: NDArray[np.float64]
     least: NDArray[np.float32]
 
 
@@ -56,13 +60,14 @@ class Scratch(NamedTuple):
     """Memory of one thread, used again for every origin.
 
     ``lanes`` (BUFFER,) is 0 .. LANES - 1 over and over: read, not computed from a loop's counter,
-    whose 64 bits would halve the vectors.
+    whose 64 bits would halve the vectors. ``moments`` (2,): sum of the counts and of their squares.
     """
 
     numbers: NDArray[np.int32]
     lanes: NDArray[np.int32]
     counts: NDArray[np.uint32]
     image: NDArray[np.uint32]
+    moments: NDArray[np.int64]
     sums: NDArray[np.float64]
 
 
@@ -79,6 +84,7 @@ def make_scratch(sizes: NDArray[np.int32]) -> Scratch:
         idle_lanes(),
         np.empty((COPIES, k + LANES), np.uint32),
         np.empty(k, np.uint32),
+        np.empty(2, np.int64),
         np.empty((2, k)),
     )
 
@@ -121,13 +127,15 @@ def _count_numbers(numbers, counts):
 
 @inlined
 def count_origin(near, ox, oy, oz, bins, scratch):
-    """Count one origin's spin image into ``scratch.image``; return the points visited."""
+    """Count one origin's spin image into ``scratch.image``; return the points visited.
+
+    Where there are none the image is left as it was.
+    """
     begin, end = depth_window(near, oz, oz, bins.height)
+    if begin >= end:
+        return 0
     k = np.int64(bins.rows) * bins.cols
     image, counts = scratch.image, scratch.counts
-    if begin >= end:
-        fill(image[:k], 0)
-        return 0
     for copy in range(COPIES):
         fill(counts[copy, : k + LANES], 0)
     for at in range(begin, end, BUFFER):
@@ -139,8 +147,13 @@ def count_origin(near, ox, oy, oz, bins, scratch):
         )  # fmt: skip
         _count_numbers(scratch.numbers[:n], counts)
     h0, h1, h2, h3 = counts[0], counts[1], counts[2], counts[3]
+    total = square = np.int64(0)
     for i in range(k):
         image[i] = h0[i] + h1[i] + h2[i] + h3[i]
+        c = np.int64(np.int32(image[i]))
+        total += c
+        square += c * c
+    scratch.moments[0], scratch.moments[1] = total, square
     return end - begin
 
 
@@ -170,11 +183,20 @@ def _deviation(image, weights, terms, squares):
 
 
 @inner
-def _product(image, values, terms):
-    """Sum of counts times values."""
-    for i in range(len(values)):
-        terms[i] = values[i] * np.float64(image[i])
-    return _pairwise_sum(terms, len(values))
+def _even_deviation(moments, k):
+    """The same if all bins weigh alike."""
+    mean, square = np.float64(moments[0]) / k, np.float64(moments[1]) / k
+    variance = square - mean * mean
+    return np.sqrt(variance) if variance > FLAT_VARIANCE * square else 0.0
+
+
+@inner
+def _product(image, parts):
+    """Sum of counts times parts: integers, so the same in any order (vectorised)."""
+    total = np.int64(0)
+    for i in range(len(parts)):
+        total += np.int64(np.int32(image[i])) * np.int64(parts[i])
+    return np.float64(total)
 
 
 @inner
@@ -190,11 +212,14 @@ def correlate_counted(templates, g, wanted, scratch, out):
             deviation = -1.0
         if wanted[t]:
             if deviation < 0:
-                weights = templates.weights[t, :k]
-                deviation = _deviation(scratch.image, weights, scratch.sums[0], scratch.sums[1])
+                if templates.even[t]:
+                    deviation = _even_deviation(scratch.moments, k)
+                else:
+                    weights = templates.weights[t, :k]
+                    deviation = _deviation(scratch.image, weights, scratch.sums[0], scratch.sums[1])
             out[t] = np.float32(0)
             if deviation > 0:
-                product = _product(scratch.image, templates.values[t, :k], scratch.sums[0])
+                product = templates.unit[t] * _product(scratch.image, templates.parts[t, :k])
                 out[t] = np.float32(min(max(product / deviation, -1.0), 1.0))
 
 

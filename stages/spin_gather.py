@@ -26,6 +26,8 @@ BUCKETS = 512
 """Steps of the order by depth."""
 ORDER_FROM = 8
 """Least origins of a block for which ordering by depth pays."""
+PLACES = 2
+"""Counters of a bucket, used in turn."""
 PAD = 64
 """Points readable past the end of a run."""
 
@@ -45,8 +47,8 @@ class IndexArrays(NamedTuple):
 class Nearby(NamedTuple):
     """Points that a block of origins can reach, ordered by buckets of depth.
 
-    ``first[i]`` is the first point of bucket i, ``lowest[i]`` the least height in it; bucket
-    ``int((top - z) * per_m)``.
+    ``first[i]`` is the first point of bucket i; bucket ``int((top - z) * per_m)``. ``lowest[i]`` is
+    the least height in it, NaN until it is asked for.
     """
 
     x: NDArray[np.float32]
@@ -59,12 +61,12 @@ class Nearby(NamedTuple):
 
 
 @inner
-def bounding_box(origins, members):
-    """Return the least and greatest x, y, z of some origins: (6,) float32."""
+def bounding_box(origins):
+    """Return the least and greatest x, y, z of origins: (6,) float32."""
     box = np.empty(6, np.float32)
     for axis in range(3):
-        low = high = origins[members[0], axis]
-        for o in members:
+        low = high = origins[0, axis]
+        for o in range(len(origins)):
             low = min(low, origins[o, axis])
             high = max(high, origins[o, axis])
         box[2 * axis], box[2 * axis + 1] = low, high
@@ -179,9 +181,9 @@ def gather(index, box, radius_sq, height, origins):
     u, v, w = near[0], near[1], near[2]
     for axis in range(3):
         fill(near[axis, total:], np.float32(0))
-    first = np.empty(BUCKETS + 2, np.int64)
-    lowest = np.empty(BUCKETS + 1, np.float32)
-    fill(lowest, np.float32(np.inf))
+    first = np.empty(BUCKETS + 1, np.int64)
+    lowest = np.empty(BUCKETS, np.float32)
+    fill(lowest, np.float32(np.nan))
     n = 0
     if origins < ORDER_FROM:  # one bucket holds all
         for r in range(found):
@@ -191,7 +193,7 @@ def gather(index, box, radius_sq, height, origins):
                 n += 1
         fill(first, total)
         first[0] = 0
-        return Nearby(u, v, w, first[: BUCKETS + 1], lowest, box[5], np.float32(0))
+        return Nearby(u, v, w, first, lowest, box[5], np.float32(0))
     per_m = np.float32((BUCKETS - 1) / (np.float64(box[5]) - np.float64(box[4]) + height))
     numbers = np.empty(total + PAD, np.int32)
     for r in range(found):
@@ -202,22 +204,39 @@ def gather(index, box, radius_sq, height, origins):
             box, radius_sq, per_m, numbers[n : n + whole],
         )  # fmt: skip
         n += end - begin
-    fill(first, 0)
+    # Neighbours in a run share buckets: counters in turn wait less for their last store.
+    place = np.empty((PLACES, BUCKETS + 1), np.int32)
+    for turn in range(PLACES):
+        fill(place[turn], 0)
     for j in range(total):
-        first[np.uint32(numbers[j]) + np.uint32(1)] += 1
-    for bucket in range(1, BUCKETS + 2):
-        first[bucket] += first[bucket - 1]
-    place = first.copy()
+        place[j & (PLACES - 1), np.uint32(numbers[j])] += 1
+    at = np.int32(0)
+    for bucket in range(BUCKETS + 1):
+        first[bucket] = at
+        for turn in range(PLACES):
+            count = place[turn, bucket]
+            place[turn, bucket] = at
+            at += count
     n = 0
     for r in range(found):
         for j in range(runs[0, r], runs[1, r]):
-            bucket = np.uint32(numbers[n])
-            to = np.uint64(place[bucket])
-            place[bucket] += 1
-            lowest[bucket] = min(lowest[bucket], z[j])
+            turn, bucket = n & (PLACES - 1), np.uint32(numbers[n])
+            to = np.uint64(place[turn, bucket])
+            place[turn, bucket] += 1
             u[to], v[to], w[to] = x[j], y[j], z[j]
             n += 1
-    return Nearby(u, v, w, first[: BUCKETS + 1], lowest, box[5], per_m)
+    return Nearby(u, v, w, first, lowest, box[5], per_m)
+
+
+@inner
+def _lowest(near, bucket):
+    """Find the least height in a bucket, infinite if it is empty."""
+    if np.isnan(near.lowest[bucket]):
+        least = np.float32(np.inf)
+        for j in range(near.first[bucket], near.first[bucket + 1]):
+            least = min(least, near.z[j])
+        near.lowest[bucket] = least
+    return near.lowest[bucket]
 
 
 @inlined
@@ -227,7 +246,7 @@ def depth_window(near, low, high, height):
         return near.first[0], near.first[BUCKETS]
     last = np.float32(BUCKETS - 1)
     begin = np.int64(min((near.top - high) * near.per_m, last))
-    if not high - near.lowest[begin] > np.float32(0):  # level ground: none of them is below
+    if not high - _lowest(near, begin) > np.float32(0):  # level ground: none of them is below
         begin += 1
     end = np.int64(min((near.top - low + height) * near.per_m, last)) + 2  # one for rounding
     return near.first[begin], near.first[min(end, BUCKETS)]

@@ -32,6 +32,9 @@ BELOW = np.float32(-1)
 CHUNK_ORIGINS = 8192
 """Origins handed to a thread at once."""
 
+LARGEST_PART = 2**30
+"""Integer that stands for a template's largest value."""
+
 SHARING = 64
 """Origins of a block among which the cost of gathering is small."""
 
@@ -67,9 +70,12 @@ def histograms(index: SpinIndex, origins: NDArray[Any], grid: SpinGrid) -> NDArr
     (M, rows, cols) uint32 array
     """
     blocks = OriginBlocks.of(origins, grid.radius_m / 5, 256)
-    images = np.zeros((len(blocks.order), grid.k), np.uint32)
+    counted = np.zeros((len(blocks.order), grid.k), np.uint32)
     tables = _tables([], [grid], None)
-    count_blocks(_arrays(index), *blocks.arrays, tables, make_scratch(tables.sizes), images)
+    scratch = make_scratch(tables.sizes)
+    count_blocks(_arrays(index), blocks.origins, blocks.start, tables, scratch, counted)
+    images = np.empty_like(counted)
+    images[blocks.order] = counted
     return images.reshape(-1, *grid.shape)
 
 
@@ -130,9 +136,9 @@ def correlate(
 
     def scan(chunk: tuple[int, int]) -> tuple[int, NDArray[np.int64]]:
         first, last = chunk
-        origins, order, start = blocks.arrays
+        start = blocks.start
         cost = np.zeros(3, np.int64)
-        given = (arrays, origins, order, start[first : last + 1], tables)
+        given = (arrays, blocks.origins, start[first : last + 1], tables)
         scratch = make_scratch(tables.sizes)
         if min_correlation is None:
             scan_blocks(*given, scratch, found, cost)
@@ -148,21 +154,24 @@ def correlate(
             work.scanned += int(scanned)
         if advance is not None:
             advance(count)
-    return found if len(grids) == 1 else found[np.argsort(rows)]
+    correlations = np.empty_like(found)
+    for row, line in zip(rows, found, strict=True):
+        correlations[row, blocks.order] = line
+    return correlations
 
 
 @dataclass(frozen=True, eq=False)
 class OriginBlocks:
-    """Origins grouped into blocks of neighbours.
+    """Origins grouped into blocks of neighbours, so that kernels read and write in one sweep.
 
     Attributes
     ----------
     origins : (M, 3) float32 array
-        In the caller's order.
+        By block.
     order : (M,) int64 array
-        Origins by block.
+        Where each was among those given.
     start : (B + 1,) int64 array
-        First of each block in ``order``.
+        First of each block.
     """
 
     origins: NDArray[np.float32]
@@ -189,17 +198,12 @@ class OriginBlocks:
         first = np.flatnonzero(fresh)
         rank = np.arange(len(points)) - np.repeat(first, np.diff(first, append=len(points)))
         start = np.r_[np.flatnonzero(rank % most == 0), len(points)]
-        return cls(points, order, start)
+        return cls(points[order], order, start)
 
     @property
     def count(self) -> int:
         """Number of blocks."""
         return len(self.start) - 1
-
-    @property
-    def arrays(self) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
-        """Origins, order and starts for the kernels."""
-        return self.origins, self.order, self.start
 
     def chunks(self) -> Iterator[tuple[int, int]]:
         """Ranges of blocks with about ``CHUNK_ORIGINS`` origins each."""
@@ -251,12 +255,16 @@ def _tables(
     grid_of = np.array([grids.index(t.grid) for t in templates], np.int64)
     alike = np.zeros(len(templates), np.bool_)
     alike[1:] = (grid_of[1:] == grid_of[:-1]) & (weights[1:] == weights[:-1]).all(axis=1)
+    unit = np.maximum(np.abs(values).max(axis=1, initial=0.0), 1e-300) / LARGEST_PART
     return Templates(
         np.array([[g.radius_sq, g.height, g.bins_per_m] for g in grids], np.float32),
         np.array([g.shape for g in grids], np.int32),
         np.searchsorted(grid_of, np.arange(len(grids) + 1)),
         alike,
+        np.array([t.weights is None for t in templates], np.bool_),
         weights,
         values,
+        np.rint(values / unit[:, None]).astype(np.int32),
+        unit,
         np.full(len(templates), BELOW if least is None else least, np.float32),
     )

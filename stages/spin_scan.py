@@ -36,22 +36,22 @@ def _kernels(sources: str):
     """Define the outermost kernels; numba keys its cache by the values they enclose."""
 
     @njit(cache=True, nogil=True, error_model="numpy")
-    def count_blocks(index, origins, order, start, templates, scratch, images):
-        """Spin images for the table's first grid into ``images`` (M, k)."""
+    def count_blocks(index, origins, start, templates, scratch, images):
+        """Spin images for the table's first grid into ``images`` (M, k), which is all 0."""
         _ = sources
         bins = grid_bins(templates, 0)
         for block in range(len(start) - 1):
-            members = order[start[block] : start[block + 1]]
-            box = bounding_box(origins, members)
-            near = gather(index, box, bins.radius_sq, bins.height, len(members))
-            for o in members:
+            begin, end = start[block], start[block + 1]
+            box = bounding_box(origins[begin:end])
+            near = gather(index, box, bins.radius_sq, bins.height, end - begin)
+            for o in range(begin, end):
                 x, y, z = origins[o, 0], origins[o, 1], origins[o, 2]
-                count_origin(near, x, y, z, bins, scratch)
-                for i in range(len(scratch.image)):
-                    images[o, i] = scratch.image[i]
+                if count_origin(near, x, y, z, bins, scratch) > 0:
+                    for i in range(len(scratch.image)):
+                        images[o, i] = scratch.image[i]
 
     @njit(cache=True, nogil=True, error_model="numpy")
-    def scan_blocks(index, origins, order, start, templates, scratch, found, work):
+    def scan_blocks(index, origins, start, templates, scratch, found, work):
         """Correlations with all templates into ``found`` (T, M).
 
         ``work`` (3,) counts visits, tests and origins scanned.
@@ -61,13 +61,13 @@ def _kernels(sources: str):
         wanted = np.ones(len(templates.least), np.bool_)
         result = np.empty(len(wanted), np.float32)
         for block in range(len(start) - 1):
-            members = order[start[block] : start[block + 1]]
-            box = bounding_box(origins, members)
-            near = gather(index, box, radius_sq, height, len(members))
-            work[2] += len(members)
+            begin, end = start[block], start[block + 1]
+            box = bounding_box(origins[begin:end])
+            near = gather(index, box, radius_sq, height, end - begin)
+            work[2] += end - begin
             for g in range(len(templates.sizes)):
                 bins = grid_bins(templates, g)
-                for o in members:
+                for o in range(begin, end):
                     x, y, z = origins[o, 0], origins[o, 1], origins[o, 2]
                     visits = count_origin(near, x, y, z, bins, scratch)
                     work[0] += visits
@@ -77,14 +77,15 @@ def _kernels(sources: str):
                         found[t, o] = result[t] if visits > 0 else np.float32(0)
 
     @njit(cache=True, nogil=True, error_model="numpy")
-    def prune_blocks(index, origins, order, start, templates, scratch, tests, found, work):
+    def prune_blocks(index, origins, start, templates, scratch, tests, found, work):
         """Correlations of hits into ``found`` (T, M), the rest left as it is; see above."""
         _ = sources
         radius_sq, height = _reach(templates)
         for block in range(len(start) - 1):
-            members = order[start[block] : start[block + 1]].copy()
-            box = bounding_box(origins, members)
-            near = gather(index, box, radius_sq, height, len(members))
+            begin, end = start[block], start[block + 1]
+            box = bounding_box(origins[begin:end])
+            near = gather(index, box, radius_sq, height, end - begin)
+            members = np.arange(begin, end)
             search_group(near, origins, members, templates, scratch, tests, found, work)
 
     return count_blocks, scan_blocks, prune_blocks
