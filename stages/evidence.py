@@ -10,11 +10,17 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from spinpipe.stages.compiled import inner
 from spinpipe.stages.outline_evidence import outline_evidence
 from spinpipe.stages.scene_evidence import root_mean_square, scene_evidence
 from spinpipe.stages.side_evidence import side_evidence
 from spinpipe.stages.surface_evidence import surface_evidence
+
+
+TOUCHED = 0.5
+"""A side is touched by something else where the scene drops by less, see ``outline_evidence``."""
 
 
 class EvidenceColumns(NamedTuple):
@@ -69,7 +75,8 @@ def gather_evidence(grid, body, field, pose, converged, gate, sharp):
     """
     surface = surface_evidence(grid, field, pose, gate, sharp)
     outline = outline_evidence(grid, field, pose, gate)
-    claim = scene_evidence(body, field, pose, gate)
+    free = np.array([outline.front, outline.left, outline.back, outline.right]) >= TOUCHED
+    claim = scene_evidence(body, field, pose, gate, free)
     side_supported, side_contradicted = side_evidence(grid, field, pose, gate, sharp)
     return EvidenceColumns(
         1.0 if converged else 0.0,

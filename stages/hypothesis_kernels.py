@@ -100,9 +100,11 @@ def _kernels(sources: str):
         gates = _gates(limits)
         pose, _, steps = refine(body, ground, field, start, gates, limits.stretch, base, course)
         count = min(steps + 1, course.shape[0])
+        free = np.ones(4, np.bool_)
         course[count - 1] = pose
         for k in range(count):
-            rms_m[k] = root_mean_square(scene_evidence(body, field, course[k], limits.gate_m))
+            claim = scene_evidence(body, field, course[k], limits.gate_m, free)
+            rms_m[k] = root_mean_square(claim)
         return count
 
     return coarse_batch, refine_batch, refine_course

@@ -9,6 +9,7 @@ import numpy as np
 
 from spinpipe.stages.cell_grid import points_of, window
 from spinpipe.stages.compiled import inner
+from spinpipe.stages.scene_evidence import side_of
 
 COLUMN_CELLS = 0.7
 """Radius of the column looked at, in cells."""
@@ -25,14 +26,6 @@ class Outline(NamedTuple):
     left: float
     back: float
     right: float
-
-
-@inner
-def _side(nx, ny):
-    """The side that an outward normal of the outline points to."""
-    if abs(nx) >= abs(ny):
-        return 0 if nx > 0 else 2
-    return 1 if ny > 0 else 3
 
 
 @inner
@@ -69,7 +62,7 @@ def outline_evidence(grid, field, pose, gate):
         my = outline[k, 1] * pose[5] + normals[k, 1] * beyond_m
         x = pose[0] + c * mx - s * my
         y = pose[1] + s * mx + c * my
-        side = _side(normals[k, 0], normals[k, 1])
+        side = side_of(normals[k, 0], normals[k, 1], abs(normals[k, 0]), abs(normals[k, 1]))
         whole[side] += 1.0
         inner_height = field.outline_height[k] * pose[6]
         count = 0

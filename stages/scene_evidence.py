@@ -22,8 +22,11 @@ class Claim(NamedTuple):
 
 
 @inner
-def scene_evidence(body, field, pose, gate):
+def scene_evidence(body, field, pose, gate, free):
     """How much of what the model claims it also explains.
+
+    What lies outside the footprint at a side where something else touches the body belongs to
+    that, at least in part, and is left out.
 
     Parameters
     ----------
@@ -31,6 +34,7 @@ def scene_evidence(body, field, pose, gate):
     field : FieldArrays.
     pose : (7,) float64.
     gate : metres.
+    free : (4,) bool, which of the sides front, left, back and right nothing touches.
 
     Returns
     -------
@@ -52,8 +56,11 @@ def scene_evidence(body, field, pose, gate):
             continue  # wheels, feet and what the ground piles up against them
         if abs(ux) > half_x + gate or abs(uy) > half_y + gate:
             continue
+        out_x, out_y = abs(ux) - half_x, abs(uy) - half_y
+        if max(out_x, out_y) > 0.0 and not free[side_of(ux, uy, out_x, out_y)]:
+            continue
         k = nearest_sample(field, ux / sx, uy / sy, uz / sz)
-        within = abs(ux) <= half_x and abs(uy) <= half_y and uz <= top
+        within = max(out_x, out_y) <= 0.0 and uz <= top
         if k < 0:
             # below the base, above the ground: the body goes on where the model does not
             claimed += weights[n] if within else 0.0
@@ -71,6 +78,14 @@ def scene_evidence(body, field, pose, gate):
             if _is_solid(field, ux / sx, uy / sy, uz / sz):
                 inside += weights[n]
     return Claim(claimed, explained, inside, square_sum)
+
+
+@inner
+def side_of(x, y, out_x, out_y):
+    """Side beyond which a point lies farther: 0 to 3 for +x, +y, -x and -y."""
+    if out_x >= out_y:
+        return 0 if x > 0.0 else 2
+    return 1 if y > 0.0 else 3
 
 
 @inner
