@@ -1,72 +1,83 @@
-"""Whether a body goes on where the model ends, so that the fit may be a part of something larger.
+"""What stands beyond the sides of a fit: another instance, or the rest of a larger body.
 
-A rigid model fits into a corner of any larger body of its height. There the scene does not drop
-beyond a whole side; neither does it where another instance stands close by, which explains it.
+A fit in a row of instances ends where its neighbours begin: the scene need not drop there. A rigid
+model that fits into a part of a larger body does not end at all: a surface goes on level with it.
 """
 
 from __future__ import annotations
-
-from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 SIDES = ("front", "left", "back", "right")
 """In the order of the evidence: +x, +y, -x and -y of the object."""
-GOES_ON = 0.25
-"""A side goes on where the scene drops by less than this share of the model's height."""
-BEYOND = (0.2, 0.5, 0.9)
-"""Where outside a side a neighbour explains it, in half extents of the narrow side."""
-_ALONG = (-0.5, 0.0, 0.5)
+GOES_ON = 0.5
+"""A body goes on where a surface is level with it along at least this share of a side."""
+BEYOND = np.array([0.2, 0.5, 0.9])
+"""Where outside a side a neighbour is looked for, in half extents of the narrow side."""
+ALONG = np.array([-0.5, 0.0, 0.5])
+ROWS = 128
+"""Fits looked at together."""
 
 
-def continuing_sides(poses: F64, sizes: F64, drops: F64, accepted: NDArray[np.bool_]) -> list[str]:
-    """The first side of each fit that goes on without another instance there, or "".
+def explained_sides(poses: F64, sizes: F64, near_poses: F64, near_sizes: F64) -> Flags:
+    """Whether an instance stands beyond each side of each fit: (S, 4).
 
     Parameters
     ----------
-    poses : (S, 4) x, y, z of the base centre and yaw.
-    sizes : (S, 3) fitted extents, metres.
-    drops : (S, 4) drop of the scene at each side, 0..1.
-    accepted : (S,) which fits are instances as far as is known: only they explain others.
+    poses, sizes : (S, 4) x, y, z of the base centre and yaw; (S, 3) extents, metres.
+    near_poses, near_sizes : of the instances. One that stands in the same place is the fit itself.
     """
-    found: list[str] = []
-    neighbours = np.flatnonzero(accepted)
-    for row in range(len(poses)):
-        others = neighbours[neighbours != row]
-        name = ""
-        for side in np.flatnonzero(drops[row] < GOES_ON):
-            explained = [
-                _covered(places, poses[others], sizes[others])
-                for places in _places_beyond(poses[row], sizes[row], int(side))
-            ]
-            if 2 * np.any(explained, axis=0).sum() < len(_ALONG):
-                name = SIDES[side]
-                break
-        found.append(name)
+    found = np.zeros((len(poses), len(SIDES)), bool)
+    for first in range(0, len(poses), ROWS):
+        rows = slice(first, first + ROWS)
+        found[rows] = _explained(poses[rows], sizes[rows], near_poses, near_sizes)
     return found
 
 
-def _places_beyond(pose: F64, size: F64, side: int) -> Iterator[F64]:
-    """Places (3, 2) along a side, ever farther outside it."""
-    half = size[:2] / 2
-    outwards, along = (0, 1) if side % 2 == 0 else (1, 0)
-    cos, sin = np.cos(pose[3]), np.sin(pose[3])
-    for share in BEYOND:
-        local = np.zeros((len(_ALONG), 2))
-        local[:, outwards] = half[outwards] + share * half.min()
-        local[:, outwards] *= 1 if side < 2 else -1
-        local[:, along] = np.array(_ALONG) * half[along]
-        yield local @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
+def first_continuing(levels: F64, explained: Flags) -> list[str]:
+    """The first side of each fit where a body goes on that no other instance explains, or "".
+
+    Parameters
+    ----------
+    levels : (S, 4) share of each side where a level surface goes on.
+    explained : (S, 4), see ``explained_sides``.
+    """
+    goes_on = (levels >= GOES_ON) & ~explained
+    return [SIDES[np.argmax(row)] if row.any() else "" for row in goes_on]
 
 
-def _covered(places: F64, poses: F64, sizes: F64) -> NDArray[np.bool_]:
-    """(P,) whether each place lies in the footprint of any of some bodies."""
-    offset = places[:, None] - poses[None, :, :2]
+def _explained(poses: F64, sizes: F64, near_poses: F64, near_sizes: F64) -> Flags:
+    middle = _within(poses[:, None, :2], near_poses, near_sizes)[:, 0]
+    swapped = _within(near_poses[:, None, :2], poses, sizes)[:, 0].T
+    other = ~(middle | swapped)
+    places = _places_beyond(poses, sizes)
+    beyond = _within(places.reshape(len(poses), -1, 2), near_poses, near_sizes) & other[:, None]
+    covered = beyond.any(axis=2).reshape(len(poses), len(SIDES), len(BEYOND), len(ALONG))
+    return np.asarray(2 * covered.any(axis=2).sum(axis=2) >= len(ALONG))
+
+
+def _places_beyond(poses: F64, sizes: F64) -> F64:
+    """Places (S, 4, len(BEYOND), len(ALONG), 2) outside the sides of each fit."""
+    half = sizes[:, :2] / 2
+    local = np.zeros((len(poses), len(SIDES), len(BEYOND), len(ALONG), 2))
+    for side in range(len(SIDES)):
+        outwards, along = (0, 1) if side % 2 == 0 else (1, 0)
+        reach = half[:, outwards, None] + half.min(axis=1)[:, None] * BEYOND
+        local[:, side, :, :, outwards] = (1 if side < 2 else -1) * reach[:, :, None]
+        local[:, side, :, :, along] = (half[:, along, None] * ALONG)[:, None]
+    cos, sin = np.cos(poses[:, 3]), np.sin(poses[:, 3])
+    turn = np.stack([cos, sin, -sin, cos], axis=1).reshape(-1, 2, 2)
+    return np.einsum("sabcj,sjk->sabck", local, turn) + poses[:, None, None, None, :2]
+
+
+def _within(places: F64, poses: F64, sizes: F64) -> Flags:
+    """Whether places (S, P, 2) lie in the footprints of N bodies: (S, P, N)."""
+    offset = places[:, :, None] - poses[:, :2]
     cos, sin = np.cos(poses[:, 3]), np.sin(poses[:, 3])
     along = np.abs(offset[..., 0] * cos + offset[..., 1] * sin)
     across = np.abs(offset[..., 1] * cos - offset[..., 0] * sin)
-    inside = (along <= sizes[:, 0] / 2) & (across <= sizes[:, 1] / 2)
-    return np.asarray(inside.any(axis=1))
+    return (along <= sizes[:, 0] / 2) & (across <= sizes[:, 1] / 2)

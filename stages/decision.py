@@ -7,10 +7,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.stages.continuation import SIDES, continuing_sides
+from spinpipe.stages.continuation import SIDES, explained_sides, first_continuing
 from spinpipe.stages.evidence import EVIDENCE
 from spinpipe.stages.examiner import Examiner
 from spinpipe.stages.hypothesis_table import Hypotheses
+from spinpipe.stages.neighbours import explain_neighbours, standing
 from spinpipe.stages.resolve import resolve
 from spinpipe.stages.scoring import PARTS
 from spinpipe.stages.verdict import Fate, KnownObject, Rules, Verdict
@@ -20,14 +21,14 @@ F64 = NDArray[np.float64]
 
 def decide(examiner: Examiner, table: Hypotheses, places: F64, rules: Rules) -> list[Verdict]:
     """The verdict on every candidate, given all hypotheses."""
+    table = explain_neighbours(examiner, table, rules.min_score)
     best = table.rows(table.best_rows())
-    displaced_by = resolve(best.pose[:, :4], examiner.sizes(best), best.score)
     sizes = examiner.sizes(best)
-    continuing = continuing_sides(
-        best.pose[:, :4],
-        sizes,
-        best.evidence[:, [EVIDENCE.index(side) for side in SIDES]],
-        (displaced_by < 0) & (best.score >= rules.min_score),
+    displaced_by = resolve(best.pose[:, :4], sizes, best.score)
+    near, near_sizes = standing(examiner, best, rules.min_score)
+    continuing = first_continuing(
+        best.evidence[:, [EVIDENCE.index(f"{side}_level") for side in SIDES]],
+        explained_sides(best.pose[:, :4], sizes, near.pose[:, :4], near_sizes),
     )
     position = {int(c): k for k, c in enumerate(best.candidate)}
     verdicts: list[Verdict] = []
@@ -130,13 +131,13 @@ def _heading_margin(
     examiner: Examiner, best: Hypotheses, k: int, rivals: Hypotheses
 ) -> tuple[float, F64, float]:
     """How much better the heading is than the best other one of the same model."""
-    known = examiner.objects[int(best.model[k])]
+    known, sampling = examiner.objects[int(best.model[k])], examiner.sampling
     turn = np.angle(np.exp(1j * (rivals.pose[:, 3] - best.pose[k, 3])))
     shift = np.hypot(*(rivals.pose[:, :2] - best.pose[k, :2]).T)
     other = (rivals.model == best.model[k]) & (np.abs(turn) > math.pi / 6)
     other &= shift < known.field.narrow_m
     for row in np.flatnonzero(other)[np.argsort(-rivals.score[other], kind="stable")]:
-        if not known.field.looks_same(float(turn[row]), examiner.sampling.noise_m):
+        if not known.field.looks_same(float(turn[row]), sampling.noise_m, sampling.spacing_m):
             lead = float(best.score[k] - rivals.score[row])
             return lead, rivals.pose[row], float(rivals.evidence[row, EVIDENCE.index("rms_m")])
     return float(best.score[k]), best.pose[k], math.inf

@@ -18,7 +18,6 @@ from spinpipe.stages.scene_evidence import root_mean_square, scene_evidence
 from spinpipe.stages.side_evidence import side_evidence
 from spinpipe.stages.surface_evidence import surface_evidence
 
-
 TOUCHED = 0.5
 """A side is touched by something else where the scene drops by less, see ``outline_evidence``."""
 
@@ -51,6 +50,11 @@ class EvidenceColumns(NamedTuple):
     left: float
     back: float
     right: float
+    front_level: float
+    """This to ``right_level``: share of each side where a level surface goes on."""
+    left_level: float
+    back_level: float
+    right_level: float
 
 
 EVIDENCE = EvidenceColumns._fields
@@ -77,7 +81,7 @@ def gather_evidence(grid, body, field, pose, converged, gate, sharp):
     outline = outline_evidence(grid, field, pose, gate)
     free = np.array([outline.front, outline.left, outline.back, outline.right]) >= TOUCHED
     claim = scene_evidence(body, field, pose, gate, free)
-    side_supported, side_contradicted = side_evidence(grid, field, pose, gate, sharp)
+    side_supported, side_contradicted = side_evidence(grid, field, pose, gate, sharp, free)
     return EvidenceColumns(
         1.0 if converged else 0.0,
         surface.supported,
@@ -97,4 +101,8 @@ def gather_evidence(grid, body, field, pose, converged, gate, sharp):
         outline.left,
         outline.back,
         outline.right,
+        outline.front_level,
+        outline.left_level,
+        outline.back_level,
+        outline.right_level,
     )

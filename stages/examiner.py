@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from spinpipe.stages.evidence import EVIDENCE
 from spinpipe.stages.hypotheses import Course, coarse_poses, course_of, refine_poses
 from spinpipe.stages.hypothesis_table import Hypotheses
-from spinpipe.stages.reference import reference_product
+from spinpipe.stages.reference import reference_parts
 from spinpipe.stages.resolve import resolve
 from spinpipe.stages.scoring import PARTS, score, score_parts
 from spinpipe.stages.surroundings import Sampling, Surroundings, build_surroundings
@@ -57,7 +57,7 @@ class Examiner:
         )
         self.reference = np.array(
             [
-                reference_product(o.field, t, sampling, shell)
+                reference_parts(o.field, t, sampling, shell)
                 for o, t, shell in zip(objects, self.limits, self.shell, strict=True)
             ]
         )
@@ -149,8 +149,12 @@ class Examiner:
             above = pose[rows, 2] - scene.ground_at(pose[rows, :2])
             height = known.field.size[2] * pose[rows, 6]
             parts[rows] = score_parts(evidence[rows], limits, self.shell[m], above, height)
-        value = score(parts, self.reference[model], self.stretch[model])
+        value = self.score(parts, model)
         return Hypotheses(candidate, model, start, pose, parts, evidence, value)
+
+    def score(self, parts: F64, model: I64) -> F64:
+        """Scores (S,) of parts (S, len(PARTS)) of hypotheses about models (S,)."""
+        return score(parts, self.reference[model], self.stretch[model])
 
     def _courses(self, scene: Surroundings, best: Hypotheses) -> dict[int, Course]:
         courses: dict[int, Course] = {}

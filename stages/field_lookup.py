@@ -27,6 +27,7 @@ class FieldArrays(NamedTuple):
     probe_normals: NDArray[np.float64]
     seen_weight: NDArray[np.float64]
     sides: NDArray[np.float64]
+    side_normals: NDArray[np.float64]
     size: NDArray[np.float64]
     top: NDArray[np.float64]
     """(2,) horizontal position of the topmost surface, as the spin image takes it."""
@@ -59,6 +60,7 @@ def field_arrays(model: ModelField) -> FieldArrays:
         probe_normals=model.normals[model.probes],
         seen_weight=model.seen_weight,
         sides=model.samples[model.side_probes],
+        side_normals=model.normals[model.side_probes],
         size=model.size,
         top=top[:, :2].mean(axis=0),
         origin=model.origin,
@@ -126,3 +128,21 @@ def inside_depth(field, ux, uy):
         return -np.inf
     edges = field.edges
     return edges[e, 2] * (edges[e, 0] - ux) + edges[e, 3] * (edges[e, 1] - uy)
+
+
+@inner
+def signed_distance(field, pose, c, s, point):
+    """How far a point lies above the nearest surface of a posed model, along its normal, metres.
+
+    ``c`` and ``s`` are the cosine and the sine of the pose's yaw; 0 off the grid.
+    """
+    dx, dy = point[0] - pose[0], point[1] - pose[1]
+    ux, uy, uz = c * dx + s * dy, c * dy - s * dx, point[2] - pose[2]
+    k = nearest_sample(field, ux / pose[4], uy / pose[5], uz / pose[6])
+    if k < 0:
+        return 0.0
+    near = field.surface[k]
+    nx, ny, nz = near[3] / pose[4], near[4] / pose[5], near[5] / pose[6]
+    along = nx * (ux - near[0] * pose[4]) + ny * (uy - near[1] * pose[5])
+    along += nz * (uz - near[2] * pose[6])
+    return along / math.sqrt(nx * nx + ny * ny + nz * nz)

@@ -18,6 +18,9 @@ from scipy.spatial import KDTree
 from spinpipe.stages.model_outline import hull_edges, outline_points
 from spinpipe.stages.model_sight import open_air, reached, turned_outward
 
+NEXT_TO_NOTHING = 0.1
+"""Share of a surface that does not tell one heading from another."""
+
 
 @dataclass(frozen=True)
 class ModelField:
@@ -81,11 +84,12 @@ class ModelField:
         """Half of the horizontal diagonal: no part is farther from the base centre."""
         return float(np.hypot(self.size[0], self.size[1]) / 2)
 
-    def looks_same(self, turn: float, noise_m: float) -> bool:
-        """Whether turned by ``turn`` radians about its middle it cannot be told from itself.
+    def looks_same(self, turn: float, noise_m: float, spacing_m: float) -> bool:
+        """Whether turned by ``turn`` radians about its middle it can hardly be told from itself.
 
         The mean distance from the turned surface to the surface [ADD-S: Hinterstoisser et al.
-        2012] is compared with the noise and the resolution of the model.
+        2012] is compared with the noise and the resolution of the model; or next to nothing of it
+        lies farther away than the points are apart: the foot of a cone.
         """
         cos, sin = np.cos(turn), np.sin(turn)
         probe = self.samples[:: max(1, len(self.samples) // 1000)]
@@ -94,8 +98,11 @@ class ModelField:
         if np.any(cell < 0) or np.any(cell >= np.array(self.nearest.shape)):
             return False
         near = self.samples[self.nearest[cell[:, 0], cell[:, 1], cell[:, 2]]]
-        distance = np.linalg.norm(turned - near, axis=1).mean()
-        return bool(distance < max(self.resolution_m, noise_m))
+        distance = np.linalg.norm(turned - near, axis=1)
+        if distance.mean() < max(self.resolution_m, noise_m):
+            return True
+        other = distance > max(2 * self.resolution_m, spacing_m)
+        return bool(other.mean() < NEXT_TO_NOTHING)
 
 
 def build_model_field(
@@ -147,7 +154,8 @@ def build_model_field(
     solid = ~air & ~surface
     samples, outward = points[kept], normals[kept]
     outward = turned_outward(samples, outward, air, origin, voxel)
-    seen = reached(samples + 1.5 * voxel * outward, seen_steep, origin, voxel)
+    # the voxel of the sample itself: a step away may be the other side of a thin plate
+    seen = reached(samples, seen_steep, origin, voxel)
     visible = np.flatnonzero(seen & (outward[:, 2] > 0.05))
     if len(visible) == 0:
         raise ValueError(f"model {name!r} has no surface that is visible from above")

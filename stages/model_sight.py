@@ -66,4 +66,5 @@ def turned_outward(
     """Normals turned to the side where the air is, if it is on one side only."""
     ahead = reached(samples + 2 * voxel * normals, air, origin, voxel)
     behind = reached(samples - 2 * voxel * normals, air, origin, voxel)
-    return np.where((behind & ~ahead)[:, None], -normals, normals)
+    lit = reached(samples, air, origin, voxel)  # not through a thin plate
+    return np.where((lit & behind & ~ahead)[:, None], -normals, normals)

@@ -13,12 +13,21 @@ from spinpipe.stages.scene_evidence import side_of
 
 COLUMN_CELLS = 0.7
 """Radius of the column looked at, in cells."""
+LEVEL = 0.1
+"""The scene goes on beyond the outline where its height differs by less than this share, or the
+gate."""
+TALL = 0.25
+"""What ends lower, as a share of the model's height, is level with the ground too easily."""
 SIDES = 4
 """Front, left, back and right: +x, +y, -x and -y of the object."""
 
 
 class Outline(NamedTuple):
-    """How far the scene drops outside the outline, 0..1; ``ring``: how much of it was observed."""
+    """How far the scene drops outside the outline, 0..1, and on how much of it it goes on.
+
+    ``ring`` is how much of the outline was observed; ``front`` to ``right`` are the drops at the
+    sides, ``front_level`` to ``right_level`` the shares of them where it goes on.
+    """
 
     drop: float
     ring: float
@@ -26,6 +35,10 @@ class Outline(NamedTuple):
     left: float
     back: float
     right: float
+    front_level: float
+    left_level: float
+    back_level: float
+    right_level: float
 
 
 @inner
@@ -47,6 +60,7 @@ def outline_evidence(grid, field, pose, gate):
     Outline
         Drops are means over the observed outline, all of it and of each side, of (model height
         inside - scene height outside) / model height; a side hardly observed counts as 1.
+        The scene goes on where a surface outside is level with the one inside.
     """
     points, outline, normals = grid.points, field.outline, field.outline_normals
     column_m = COLUMN_CELLS * grid.cell_m
@@ -54,9 +68,11 @@ def outline_evidence(grid, field, pose, gate):
     c, s = math.cos(pose[3]), math.sin(pose[3])
     radius2 = column_m * column_m
     drops = np.zeros(SIDES)
+    levels = np.zeros(SIDES)
     observed = np.zeros(SIDES)
     whole = np.zeros(SIDES)
     heights = np.empty(64)
+    tall = field.outline_height > TALL * field.size[2]
     for k in range(outline.shape[0]):
         mx = outline[k, 0] * pose[4] + normals[k, 0] * beyond_m
         my = outline[k, 1] * pose[5] + normals[k, 1] * beyond_m
@@ -81,18 +97,27 @@ def outline_evidence(grid, field, pose, gate):
                     count += 1
         if count > 0:
             # the upper quartile: where the scene shows ground below things, things still go on
-            level = np.sort(heights[:count])[(3 * count) // 4]
-            drops[side] += min(max((inner_height - level) / inner_height, 0.0), 1.0)
+            ascending = np.sort(heights[:count])
+            level, top = ascending[(3 * count) // 4], ascending[(9 * count) // 10]
+            drop = min(max((inner_height - level) / inner_height, 0.0), 1.0)
+            drops[side] += drop
+            level_with = abs(inner_height - top) <= max(gate, LEVEL * inner_height)
+            if level_with and tall[k] and drop < 0.5 and overhead > 2 * inner_height:
+                levels[side] += 1.0
         elif overhead > 2 * inner_height:
             continue  # a crown or a roof that hides what is below it
         observed[side] += 1.0
     seen = observed.sum()
     if seen == 0.0:
-        return Outline(0.0, 0.0, 1.0, 1.0, 1.0, 1.0)
+        return Outline(0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0)
     share = np.ones(SIDES)
+    level_share = np.zeros(SIDES)
     for side in range(SIDES):
         if observed[side] >= max(0.5 * whole[side], 1.0):
             share[side] = drops[side] / observed[side]
+            level_share[side] = levels[side] / observed[side]
     return Outline(
-        drops.sum() / seen, seen / outline.shape[0], share[0], share[1], share[2], share[3]
-    )
+        drops.sum() / seen, seen / outline.shape[0],
+        share[0], share[1], share[2], share[3],
+        level_share[0], level_share[1], level_share[2], level_share[3],
+    )  # fmt: skip

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from spinpipe.schemas.records import Sampling
 from spinpipe.stages.field_lookup import POSE
+from spinpipe.stages.hit_threshold import points_on
 from spinpipe.stages.hypotheses import refine_poses
 from spinpipe.stages.model_field import ModelField
 from spinpipe.stages.scoring import score_parts
@@ -26,15 +27,13 @@ INSTANCES = 6
 MOST_POINTS = 400_000
 """Of all instances and their ground together; a denser cloud gets fewer of them."""
 LEAST = 0.3
-"""A reference below this says that such a cloud tells nothing: it is taken instead."""
-FACES_PER_VOXEL = 1.5
-"""Mean number of voxels of side v that a surface of area v^2 touches, over all its directions."""
+"""A part below this says that such a cloud tells nothing of it: it is taken instead."""
 
 
-def reference_product(
+def reference_parts(
     field: ModelField, limits: Tolerance, sampling: Sampling, shell_share: float
-) -> float:
-    """Median product of the parts of instances of the model in such a cloud, ``LEAST`` to 1.
+) -> F64:
+    """Medians (len(PARTS),) of the parts of instances of the model in such a cloud.
 
     Parameters
     ----------
@@ -59,14 +58,15 @@ def reference_product(
     fitted, evidence = refine_poses(scene, field, limits, poses, threads=1)
     above = fitted[:, 2] - scene.ground_at(fitted[:, :2])
     parts = score_parts(evidence, limits, shell_share, above, field.size[2] * fitted[:, 6])
-    return float(np.clip(np.median(parts.prod(axis=1)), LEAST, 1.0))
+    return np.clip(np.median(parts, axis=0), LEAST, 1.0)
 
 
 def _instance(
     field: ModelField, sampling: Sampling, half_m: float, pose: F64, rng: np.random.Generator
 ) -> F64:
     """Points of the model at a pose and of the level ground around it that it does not hide."""
-    surface = field.samples[rng.integers(0, len(field.samples), _surface_points(field, sampling))]
+    count = max(1, round(points_on(field.samples, sampling.density)))
+    surface = field.samples[rng.integers(0, len(field.samples), count)]
     ground = np.zeros((rng.poisson(sampling.density * (2 * half_m) ** 2), 3))
     ground[:, :2] = rng.uniform(-half_m, half_m, (len(ground), 2))
     cell = np.floor((ground[:, :2] - field.origin[:2]) / field.voxel_m).astype(int)
@@ -77,10 +77,3 @@ def _instance(
     cos, sin = math.cos(pose[3]), math.sin(pose[3])
     points = points @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return points + pose[:3] + sampling.noise_m * rng.standard_normal(points.shape)
-
-
-def _surface_points(field: ModelField, sampling: Sampling) -> int:
-    """How many points the cloud has on the model's surface."""
-    voxels = np.unique(np.floor(field.samples / field.voxel_m).astype(int), axis=0)
-    area = len(voxels) * field.voxel_m**2 / FACES_PER_VOXEL
-    return max(1, round(area * sampling.density))

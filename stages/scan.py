@@ -23,7 +23,16 @@ from spinpipe.schemas import (
     TILES,
     UPRIGHT,
 )
-from spinpipe.schemas.records import F32, F64, Hits, ObjectModel, ScoreTile, SpinImage
+from spinpipe.schemas.records import (
+    F32,
+    F64,
+    Hits,
+    ObjectModel,
+    Sampling,
+    ScoreTile,
+    SpinImage,
+)
+from spinpipe.stages.hit_threshold import hit_threshold, points_on
 from spinpipe.stages.model_heights import HeightBands
 from spinpipe.stages.neighbourhood import WorldCloud
 from spinpipe.stages.spin_image import (
@@ -93,8 +102,12 @@ class Scan:
             description="weight of the bins that the model does not reach at their depth: below 1 "
             "for things that stand closer to each other than the radius",
         )
-        min_correlation: float = Field(
-            0.6, gt=0, lt=1, description="from which an origin is a hit: verification decides"
+        min_correlation: float | None = Field(
+            None,
+            gt=0,
+            lt=1,
+            description="from which an origin is a hit: verification decides; none: 0.6, less "
+            "where so few points fall on an instance that their counts differ by chance",
         )
         heights: Literal["model", "any"] = Field(
             "model",
@@ -127,6 +140,10 @@ class Scan:
             for model in models
         ]
         cloud = WorldCloud.of(ctx.read(CLOUD), ctx.read_one(TILES), ctx.read_one(UPRIGHT))
+        least = ctx.config.min_correlation or hit_threshold(
+            [_expected(*pair, sampling) for pair in zip(models, templates, strict=True)]
+        )
+        ctx.log(f"hits from a correlation of {least:.2f}")
         bands = None
         if ctx.config.heights == "model":
             bands = HeightBands.of(models, sampling)
@@ -137,12 +154,12 @@ class Scan:
             bands=bands,
             lift_m=lift_m,
             origins=ctx.config.origins,
-            min_correlation=ctx.config.min_correlation,
+            min_correlation=least,
             voxel_m=ctx.config.voxel_m or VOXEL_RADII * grid.radius_m,
             pruned=ctx.config.search == "pruned",
             threads=ctx.threads,
         )
-        hits = _HitList(scan.models, ctx.config.min_correlation)
+        hits = _HitList(scan.models, least)
         progress = ctx.progress("tiles", len(cloud))
         done = 0
         for scores in ctx.recovered(SCORES):
@@ -198,6 +215,12 @@ def _template(
     if outside_weight == 1.0:
         return template
     return replace(template, weights=extent_weights(template.values, outside_weight))
+
+
+def _expected(model: ObjectModel, template: SpinTemplate, sampling: Sampling) -> F64:
+    """Points in the bins of an instance's image in the scene."""
+    share = points_on(model.points, sampling.density) / (BLURS * len(model.points))
+    return template.values * share
 
 
 def _model_image(model: ObjectModel, template: SpinTemplate) -> SpinImage:

@@ -54,13 +54,12 @@ def scene_evidence(body, field, pose, gate, free):
         ux, uy, uz = c * dx + s * dy, c * dy - s * dx, points[n, 2] - pose[2]
         if uz > top + gate or 0.0 <= uz < 0.1 * top:
             continue  # wheels, feet and what the ground piles up against them
-        if abs(ux) > half_x + gate or abs(uy) > half_y + gate:
-            continue
         out_x, out_y = abs(ux) - half_x, abs(uy) - half_y
-        if max(out_x, out_y) > 0.0 and not free[side_of(ux, uy, out_x, out_y)]:
+        out = max(out_x, out_y)
+        if out > gate or (out > 0.0 and not free[side_of(ux, uy, out_x, out_y)]):
             continue
         k = nearest_sample(field, ux / sx, uy / sy, uz / sz)
-        within = max(out_x, out_y) <= 0.0 and uz <= top
+        within = out <= 0.0 and uz <= top
         if k < 0:
             # below the base, above the ground: the body goes on where the model does not
             claimed += weights[n] if within else 0.0

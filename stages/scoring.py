@@ -1,4 +1,4 @@
-"""From evidence to a score: named parts in 0..1, each with a meaning, and their product.
+"""From evidence to a score: named parts in 0..1, each with a meaning, and how they are weighed.
 
 A part is the share of what it looks at that speaks for the hypothesis. What chance alone would
 give is taken off, so 0 means "no better than points strewn at random".
@@ -30,13 +30,18 @@ UNJUDGED = 0.3
 """Sides are believed in unless what contradicts them is more than this share of them."""
 STANDS = 0.125
 """How far off the ground a base may be, as a share of the height: kerbs, slopes, cut models."""
-EVEN = 0.62
-"""Product of the parts, in that of a fully seen right instance, at which a hypothesis of a rigid
-model is as likely right as wrong."""
-EVEN_STRETCH = 4.0
-"""How much less may be asked of a shape that is known up to its stretch only."""
-STEEPNESS = 4.0
-"""Slope of the score there, in powers of the product."""
+WORTHLESS = 1e-6
+"""Part from which less makes no difference."""
+LITTLE = 0.1
+"""Merit of being better than a right instance usually is: enough to choose between headings."""
+LOOSE = 0.1
+"""Stretch from which a model is a family of shapes rather than one that is known."""
+KNOWN_POWERS = (6.0, 15.0, 9.0, 10.0, 6.0, 5.0)
+"""Of the parts, for a model of known shape: a wrong shape shows in residuals and sides first."""
+LOOSE_POWERS = (4.0, 4.0, 4.0, 2.0, 4.0, 4.0)
+"""Of the parts, for a family: its members differ most in what judges the shape."""
+KNOWN_ODDS, LOOSE_ODDS = 3.4, 3.8
+"""Logarithm of the odds that what is as good as a right instance is one."""
 
 
 def score_parts(
@@ -73,20 +78,22 @@ def score_parts(
     residual = 1.0 - np.minimum(3.0 * (column["rms_m"] / limits.gate_m) ** 2, 1.0)
     # many points make the ground, so its height is known much better than the noise of one
     stands = np.clip(2.0 - np.abs(above_ground_m) / (STANDS * height_m), 0.0, 1.0)
-    return np.stack(
-        [model, sides, scene, np.sqrt(residual), np.cbrt(column["drop"]), stands], axis=1
-    )
+    return np.stack([model, sides, scene, residual, np.cbrt(column["drop"]), stands], axis=1)
 
 
 def score(parts: F64, reference: F64, stretch: F64) -> F64:
-    """Score 0..1 of each row of parts: a logistic function of the logarithm of their product.
+    """Score 0..1 of each row of parts: a logistic function of a weighted sum of their logarithms.
 
     Parameters
     ----------
     parts : (S, len(PARTS))
-    reference : (S,) product of the parts of a right instance, see ``reference``.
+    reference : (S, len(PARTS)) parts of a right instance, see ``reference``; to be better than
+        that is little merit.
     stretch : (S,) of the models.
     """
-    even = EVEN / (1.0 + EVEN_STRETCH * stretch)
-    power = (parts.prod(axis=1) / reference) ** STEEPNESS
-    return power / (power + even**STEEPNESS)
+    loose = np.minimum(stretch / LOOSE, 1.0)
+    powers = np.outer(1.0 - loose, KNOWN_POWERS) + np.outer(loose, LOOSE_POWERS)
+    odds = (1.0 - loose) * KNOWN_ODDS + loose * LOOSE_ODDS
+    worth = np.log(np.clip(parts / reference, WORTHLESS, None))
+    worth = np.minimum(worth, LITTLE * worth)
+    return 1.0 / (1.0 + np.exp(-(odds + (powers * worth).sum(axis=1))))

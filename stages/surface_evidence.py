@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from spinpipe.stages.cell_grid import points_of, window
 from spinpipe.stages.compiled import inner
-from spinpipe.stages.field_lookup import inside_depth, nearest_sample
+from spinpipe.stages.field_lookup import inside_depth, signed_distance
 
 
 class Surface(NamedTuple):
@@ -31,21 +31,6 @@ def depth_at(field, pose, c, s, x, y):
     """How far inside the outline of the model at a pose a place of the world lies, metres."""
     dx, dy = x - pose[0], y - pose[1]
     return inside_depth(field, (c * dx + s * dy) / pose[4], (c * dy - s * dx) / pose[5])
-
-
-@inner
-def _signed_distance(field, pose, c, s, point):
-    """How far a point lies above the nearest surface of the model, along its normal, metres."""
-    dx, dy = point[0] - pose[0], point[1] - pose[1]
-    ux, uy, uz = c * dx + s * dy, c * dy - s * dx, point[2] - pose[2]
-    k = nearest_sample(field, ux / pose[4], uy / pose[5], uz / pose[6])
-    if k < 0:
-        return 0.0
-    near = field.surface[k]
-    nx, ny, nz = near[3] / pose[4], near[4] / pose[5], near[5] / pose[6]
-    along = nx * (ux - near[0] * pose[4]) + ny * (uy - near[1] * pose[5])
-    along += nz * (uz - near[2] * pose[6])
-    return along / math.sqrt(nx * nx + ny * ny + nz * nz)
 
 
 @inner
@@ -102,7 +87,7 @@ def surface_evidence(grid, field, pose, gate, sharp):
                 dz = points[n, 2] - z
                 if abs(dz) <= band + 0.5 * slope * column_m:
                     at += 1
-                    offset += _signed_distance(field, pose, c, s, points[n])
+                    offset += signed_distance(field, pose, c, s, points[n])
                 elif dz < 0.0:
                     # what lies beside the body is no sight through it
                     if depth_at(field, pose, c, s, points[n, 0], points[n, 1]) > 0.5 * sharp:

@@ -35,7 +35,7 @@ class Verify:
     """Fit the model to each candidate's surroundings and decide."""
 
     name = "verify"
-    version = 2
+    version = 3
     inputs = (CLOUD, TILES, SCENE, MODELS, UPRIGHT, SAMPLING, SPIN_IMAGES, CLUSTERS)
     outputs = (TRACES, DETECTIONS, INSTANCES)
 

@@ -2,44 +2,16 @@
 
 import numpy as np
 import pytest
+from tests.unit.standing import cloud_of, known_object, verdicts_on
 
 from spinpipe.stages.evidence import EVIDENCE
 from spinpipe.stages.examiner import Examiner
-from spinpipe.stages.model_field import build_model_field
 from spinpipe.stages.recognition import verify_candidates
 from spinpipe.stages.scoring import PARTS
-from spinpipe.stages.shapes import Mesh, box, cylinder, merged, placed, sample_surface
+from spinpipe.stages.shapes import Mesh, box, cylinder, merged, placed
 from spinpipe.stages.surroundings import measure_sampling
 from spinpipe.stages.vehicles import vehicle_mesh
-from spinpipe.stages.verdict import KnownObject, Rules
-
-
-def _known(name, mesh, stretch=0.0, visible_from="all"):
-    points, normals = sample_surface(*mesh, 40_000, np.random.default_rng(0))
-    return KnownObject(build_model_field(name, points, normals), stretch, visible_from)
-
-
-def _cloud(items, extent, density, noise=0.0, seed=1):
-    """Items on a square ground, sampled evenly by area on all their surfaces."""
-    rng = np.random.default_rng(seed)
-    mesh = merged(items)
-    corners = mesh.vertices[mesh.faces]
-    area = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
-    points, _ = sample_surface(*mesh, int(area.sum() / 2 * density), rng)
-    ground = np.c_[
-        rng.uniform(-extent / 2, extent / 2, (int(extent**2 * density), 2)),
-        np.zeros(int(extent**2 * density)),
-    ]
-    cloud = np.concatenate([points, ground])
-    return cloud + rng.normal(0, noise, cloud.shape)
-
-
-def _verdicts(cloud, objects, places, **rules):
-    return verify_candidates(
-        cloud, objects, np.array(places, float), measure_sampling(cloud), Rules(**rules)
-    )
+from spinpipe.stages.verdict import Rules
 
 
 def _turn_deg(a, b):
@@ -48,7 +20,7 @@ def _turn_deg(a, b):
 
 @pytest.fixture(scope="module")
 def cars():
-    return [_known(k, Mesh(*vehicle_mesh(k))) for k in ("saloon", "van")]
+    return [known_object(k, Mesh(*vehicle_mesh(k))) for k in ("saloon", "van")]
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +39,7 @@ PLACES = [[-5, 0.1, 1.42], [5.1, 0, 1.95], [0, 6, 1.4], [-4.8, 2.4, 1.42], [8, 8
 
 @pytest.mark.parametrize("noise", [0.0, 0.08])
 def test_right_type_place_and_heading(cars, lot, noise):
-    verdicts = _verdicts(_cloud(lot, 24, 110, noise), cars, PLACES)
+    verdicts = verdicts_on(cloud_of(lot, 24, 110, noise), cars, PLACES)
     fates = [v.fate for v in verdicts]
     assert fates == ["accepted", "accepted", "rejected", "accepted", "rejected"]
     for k, model, x, y, heading in ((0, 0, -5, 0, 20), (1, 1, 5, 0, 110), (3, 0, -5, 2.4, 200)):
@@ -83,14 +55,14 @@ def test_right_type_place_and_heading(cars, lot, noise):
 
 
 def test_one_instance_one_detection(cars, lot):
-    cloud = _cloud(lot, 24, 110)
-    verdicts = _verdicts(cloud, cars, [[-5, 0.1, 1.42], [-4.6, 0.2, 1.4], [-5.5, -0.2, 1.38]])
+    cloud = cloud_of(lot, 24, 110)
+    verdicts = verdicts_on(cloud, cars, [[-5, 0.1, 1.42], [-4.6, 0.2, 1.4], [-5.5, -0.2, 1.38]])
     assert [v.fate for v in verdicts].count("accepted") == 1
     assert sum("overlaps candidate" in v.reason for v in verdicts) == 2
 
 
 def test_threads_order_and_blocks_leave_no_trace(cars, lot):
-    cloud = _cloud(lot, 24, 110, 0.03)
+    cloud = cloud_of(lot, 24, 110, 0.03)
     sampling = measure_sampling(cloud)
     places = np.array(PLACES, float)
     first = verify_candidates(cloud, cars, places, sampling, Rules(), threads=1)
@@ -102,7 +74,7 @@ def test_threads_order_and_blocks_leave_no_trace(cars, lot):
 
 
 def test_courses_lead_from_the_start_to_the_fit(cars, lot):
-    cloud = _cloud(lot, 24, 110)
+    cloud = cloud_of(lot, 24, 110)
     found = Examiner(cars, measure_sampling(cloud)).examine(cloud, np.array(PLACES, float), 1)
     best = found.table.rows(found.table.best_rows())
     assert {0, 1, 3} <= set(found.courses)
@@ -115,11 +87,11 @@ def test_courses_lead_from_the_start_to_the_fit(cars, lot):
 
 
 def test_turned_and_shifted_scene_moves_detections_with_it(cars, lot):
-    cloud = _cloud(lot, 24, 110, 0.02)
+    cloud = cloud_of(lot, 24, 110, 0.02)
     angle, shift = 0.7, np.array([31.0, -17.0, 0.0])
     R = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-    before = _verdicts(cloud, cars, PLACES)
-    after = _verdicts(cloud @ R.T + shift, cars, np.array(PLACES) @ R.T + shift)
+    before = verdicts_on(cloud, cars, PLACES)
+    after = verdicts_on(cloud @ R.T + shift, cars, np.array(PLACES) @ R.T + shift)
     for a, b in zip(before, after, strict=True):
         assert a.fate == b.fate
         if a.fate == "accepted":
@@ -131,20 +103,20 @@ def test_ground_seen_through_it_denies_a_ghost(cars):
     """A tenth of the density on the body, all of the ground below it: it left before."""
     rng = np.random.default_rng(2)
     car = placed(Mesh(*vehicle_mesh("saloon")), (0, 0, 0), 30)
-    cloud = _cloud([car], 16, 150)
+    cloud = cloud_of([car], 16, 150)
     body = cloud[:, 2] > 0.05
     ghost = cloud[~body | (rng.random(len(cloud)) < 0.08)]
     place = [[0.0, 0.0, 1.42]]
-    assert _verdicts(cloud, cars, place)[0].fate == "accepted"
-    assert _verdicts(ghost, cars, place)[0].fate == "rejected"
+    assert verdicts_on(cloud, cars, place)[0].fate == "accepted"
+    assert verdicts_on(ghost, cars, place)[0].fate == "rejected"
 
 
 def test_what_goes_on_beyond_the_outline_is_no_instance():
     plateau = placed(box(14, 14, 1.4), (0, 0, 0))
-    cloud = _cloud([plateau], 30, 110)
-    cars = [_known(k, Mesh(*vehicle_mesh(k)), 0.15) for k in ("saloon", "van")]
-    assert _verdicts(cloud, cars, [[0, 0, 1.4], [4, 0, 1.4], [5.5, 2, 1.4]]) != []
-    fates = {v.fate for v in _verdicts(cloud, cars, [[0, 0, 1.4], [4, 0, 1.4], [5.5, 2, 1.4]])}
+    cloud = cloud_of([plateau], 30, 110)
+    cars = [known_object(k, Mesh(*vehicle_mesh(k)), 0.15) for k in ("saloon", "van")]
+    assert verdicts_on(cloud, cars, [[0, 0, 1.4], [4, 0, 1.4], [5.5, 2, 1.4]]) != []
+    fates = {v.fate for v in verdicts_on(cloud, cars, [[0, 0, 1.4], [4, 0, 1.4], [5.5, 2, 1.4]])}
     assert fates == {"rejected"}
 
 
@@ -152,17 +124,17 @@ def test_seen_from_above_under_a_roof_or_cut_by_the_border(cars):
     car = placed(Mesh(*vehicle_mesh("saloon")), (0, 0, 0), 30)
     place = [[0.0, 0.0, 1.42]]
     roof = placed(box(7, 5, 0.05), (0, 0, 2.6), 30)
-    tented = _cloud([car, roof], 16, 110)
-    assert _verdicts(tented, cars, place)[0].fate == "accepted"
-    declared = [_known("saloon", Mesh(*vehicle_mesh("saloon")), visible_from="above")]
-    hidden = _verdicts(tented, declared, place)[0]
+    tented = cloud_of([car, roof], 16, 110)
+    assert verdicts_on(tented, cars, place)[0].fate == "accepted"
+    declared = [known_object("saloon", Mesh(*vehicle_mesh("saloon")), visible_from="above")]
+    hidden = verdicts_on(tented, declared, place)[0]
     assert hidden.fate == "ambiguous"
     assert "below something else" in hidden.reason
-    whole = _cloud([car], 16, 110)
+    whole = cloud_of([car], 16, 110)
     cut = whole[whole[:, 0] > -0.9]
-    assert _verdicts(cut, cars, place)[0].fate == "accepted"
+    assert verdicts_on(cut, cars, place)[0].fate == "accepted"
     half = whole[(whole[:, 1] > 0) | (whole[:, 2] < 0.02) | (whole[:, 2] > 1.0)]
-    assert _verdicts(half, cars, place)[0].fate == "accepted"
+    assert verdicts_on(half, cars, place)[0].fate == "accepted"
 
 
 def _chair():
@@ -178,9 +150,9 @@ def _machine():
 
 def test_furniture_barrels_and_machines_by_the_same_rule():
     objects = [
-        _known("chair", _chair()),
-        _known("barrel", cylinder(0.3, 0.9)),
-        _known("machine", _machine()),
+        known_object("chair", _chair()),
+        known_object("barrel", cylinder(0.3, 0.9)),
+        known_object("machine", _machine()),
     ]
     items = [
         placed(_chair(), (0, 0, 0), 40),
@@ -189,14 +161,14 @@ def test_furniture_barrels_and_machines_by_the_same_rule():
         placed(box(0.45, 0.45, 0.9), (0, 2.5, 0), 10),
         placed(cylinder(0.3, 0.6), (2.5, 2.5, 0)),
     ]
-    cloud = _cloud(items, 8, 700, 0.005)
+    cloud = cloud_of(items, 8, 700, 0.005)
     back = np.array([0, 0, 0.94]) - 0.2 * np.array(
         [np.cos(np.radians(40)), np.sin(np.radians(40)), 0]
     )
     tower = np.array([-2, 1, 1.5]) - 0.35 * np.array(
         [np.cos(np.radians(250)), np.sin(np.radians(250)), 0]
     )
-    verdicts = _verdicts(
+    verdicts = verdicts_on(
         cloud, objects, [back, [2.1, 0, 0.9], tower, [0, 2.5, 0.9], [2.5, 2.5, 0.6]]
     )
     assert [v.fate for v in verdicts[:3]] == ["accepted"] * 3
