@@ -408,9 +408,12 @@ def test_the_table_fits_eighty_columns(demo: tuple[Outcome, Path]) -> None:
     assert max(len(line.rstrip()) for line in lines) <= 80
 
 
-def cpu_seconds(arguments: list[str | Path], cwd: Path) -> float:
+RUN = "from spinpipe.pipeline.cli import main; main()"
+
+
+def cpu_seconds(arguments: list[str | Path], cwd: Path, code: str = RUN) -> float:
     """Processor time of the command in a process of its own: waiting for others is no matter."""
-    command = [sys.executable, "-c", "from spinpipe.pipeline.cli import main; main()", *arguments]
+    command = [sys.executable, "-c", code, *arguments]
     process = subprocess.Popen(command, cwd=cwd, stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
     assert os.waitstatus_to_exitcode(status) == 0
@@ -425,7 +428,9 @@ def test_a_run_that_reuses_everything_is_quick(demo: tuple[Outcome, Path]) -> No
     output = demo[1]
     arguments: list[str | Path] = ["run", output / "config.toml", "-o", output]
     cpu_seconds(arguments, output)
-    assert cpu_seconds(arguments, output) < 3.0
+    # beside importing the stages, which takes as long as the machine likes
+    imports = min(cpu_seconds([], output, "import spinpipe.pipeline.commands") for _ in range(2))
+    assert min(cpu_seconds(arguments, output) for _ in range(2)) - imports < 1.0
 
 
 def test_the_version_is_told(cli: Cli) -> None:
