@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from spinpipe.stages.evidence import EVIDENCE
 from spinpipe.stages.hypotheses import Course, coarse_poses, course_of, refine_poses
 from spinpipe.stages.hypothesis_table import Hypotheses
-from spinpipe.stages.reference import reference_parts
+from spinpipe.stages.reference import right_instance
 from spinpipe.stages.resolve import resolve
 from spinpipe.stages.scoring import PARTS, score, score_parts
 from spinpipe.stages.surroundings import Sampling, Surroundings, build_surroundings
@@ -55,12 +55,12 @@ class Examiner:
         self.shell = tuple(
             shell_share(o.field, t.gate_m) for o, t in zip(objects, self.limits, strict=True)
         )
-        self.reference = np.array(
-            [
-                reference_parts(o.field, t, sampling, shell)
-                for o, t, shell in zip(objects, self.limits, self.shell, strict=True)
-            ]
-        )
+        right = [
+            right_instance(o.field, t, sampling, shell)
+            for o, t, shell in zip(objects, self.limits, self.shell, strict=True)
+        ]
+        self.reference = np.array([r.parts for r in right])
+        self.expected = tuple(r.points for r in right)
         self.stretch = np.array([o.stretch for o in objects])
         self.ground_reach_m = 1.4 * max(o.field.reach_m * (1 + o.stretch) for o in objects)
 
@@ -148,7 +148,9 @@ class Examiner:
             )
             above = pose[rows, 2] - scene.ground_at(pose[rows, :2])
             height = known.field.size[2] * pose[rows, 6]
-            parts[rows] = score_parts(evidence[rows], limits, self.shell[m], above, height)
+            parts[rows] = score_parts(
+                evidence[rows], limits, self.shell[m], self.expected[m], above, height
+            )
         value = self.score(parts, model)
         return Hypotheses(candidate, model, start, pose, parts, evidence, value)
 

@@ -8,11 +8,13 @@ at its true pose by the very rules that judge candidates.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.schemas.records import Sampling
+from spinpipe.stages.evidence import EVIDENCE
 from spinpipe.stages.field_lookup import POSE
 from spinpipe.stages.hit_threshold import points_on
 from spinpipe.stages.hypotheses import refine_poses
@@ -30,10 +32,17 @@ LEAST = 0.3
 """A part below this says that such a cloud tells nothing of it: it is taken instead."""
 
 
-def reference_parts(
+class Reference(NamedTuple):
+    """What a right instance of a model gets: medians of its parts, and of the points explained."""
+
+    parts: F64
+    points: float
+
+
+def right_instance(
     field: ModelField, limits: Tolerance, sampling: Sampling, shell_share: float
-) -> F64:
-    """Medians (len(PARTS),) of the parts of instances of the model in such a cloud.
+) -> Reference:
+    """Judge instances of the model in such a cloud.
 
     Parameters
     ----------
@@ -57,8 +66,10 @@ def reference_parts(
     scene = build_surroundings(points, sampling, ground_m)
     fitted, evidence = refine_poses(scene, field, limits, poses, threads=1)
     above = fitted[:, 2] - scene.ground_at(fitted[:, :2])
-    parts = score_parts(evidence, limits, shell_share, above, field.size[2] * fitted[:, 6])
-    return np.clip(np.median(parts, axis=0), LEAST, 1.0)
+    height = field.size[2] * fitted[:, 6]
+    parts = score_parts(evidence, limits, shell_share, 0.0, above, height)
+    points = float(np.median(evidence[:, EVIDENCE.index("explained")]))
+    return Reference(np.clip(np.median(parts, axis=0), LEAST, 1.0), points)
 
 
 def _instance(

@@ -17,7 +17,8 @@ F64 = NDArray[np.float64]
 PARTS = ("model", "sides", "scene", "residual", "outline", "stands")
 """model: visible surface of the model that the scene shows, against what the scene contradicts.
 sides: the same for upright surfaces, as far as they can be judged.
-scene: points in the model's bounding box that lie on its surface, beyond chance.
+scene: points in the model's bounding box that lie on its surface, beyond chance; in noise that
+swallows the shape, how many there are.
 residual: how much closer they lie than chance would put them.
 outline: how far the scene drops where the model ends.
 stands: whether the base is at the local ground."""
@@ -30,6 +31,8 @@ UNJUDGED = 0.3
 """Sides are believed in unless what contradicts them is more than this share of them."""
 STANDS = 0.125
 """How far off the ground a base may be, as a share of the height: kerbs, slopes, cut models."""
+SWALLOWS_SHAPE = 8
+"""Power of the share of the box that the gate fills: below two thirds of it shapes still show."""
 WORTHLESS = 1e-6
 """Part from which less makes no difference."""
 LITTLE = 0.1
@@ -49,7 +52,12 @@ KNOWN_ODDS, LOOSE_ODDS = 3.4, 3.8
 
 
 def score_parts(
-    evidence: F64, limits: Tolerance, shell_share: float, above_ground_m: F64, height_m: F64
+    evidence: F64,
+    limits: Tolerance,
+    shell_share: float,
+    expected: float,
+    above_ground_m: F64,
+    height_m: F64,
 ) -> F64:
     """Named parts of each hypothesis.
 
@@ -58,6 +66,7 @@ def score_parts(
     evidence : (S, len(EVIDENCE)), see ``hypotheses.refine_poses``.
     limits : of the model.
     shell_share : what chance explains, see ``tolerance.shell_share``.
+    expected : points that a right, fully seen instance explains; 0 if not known.
     above_ground_m : (S,) height of the base above the local ground.
     height_m : (S,) height of the fitted model.
 
@@ -78,6 +87,10 @@ def score_parts(
     share = np.divide(column["explained"], claimed, out=np.zeros_like(shown), where=claimed > 0)
     # a gate as wide as the body leaves nothing that could be told from chance
     scene = np.clip((share - shell_share) / max(1.0 - shell_share, 1e-9), 0.0, 1.0)
+    # the more of the box the gate fills, the more it is only the number of points that tells
+    if expected > 0:
+        number = np.clip(column["explained"] / expected, WORTHLESS, 1.0)
+        scene = scene * number ** (shell_share**SWALLOWS_SHAPE)
     # uniform over the gate, residuals have a standard deviation of gate / sqrt(3)
     residual = 1.0 - np.minimum(3.0 * (column["rms_m"] / limits.gate_m) ** 2, 1.0)
     # many points make the ground, so its height is known much better than the noise of one

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from spinpipe.schemas.records import Sampling
 from spinpipe.stages.model_field import build_model_field
-from spinpipe.stages.reference import LEAST, reference_parts
+from spinpipe.stages.reference import LEAST, right_instance
 from spinpipe.stages.shapes import Mesh, sample_surface
 from spinpipe.stages.tolerance import shell_share, tolerance
 from spinpipe.stages.vehicles import vehicle_mesh
@@ -18,7 +18,7 @@ def reference(spacing_m: float, noise_m: float) -> NDArray[np.float64]:
     field = build_model_field("car", *sample_surface(*mesh, 30_000, np.random.default_rng(0)))
     sampling = Sampling(spacing_m, noise_m)
     limits = tolerance(field, 0.0, spacing_m, noise_m)
-    return reference_parts(field, limits, sampling, shell_share(field, limits.gate_m))
+    return right_instance(field, limits, sampling, shell_share(field, limits.gate_m)).parts
 
 
 def test_noise_lowers_what_can_be_asked_for() -> None:
