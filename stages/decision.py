@@ -68,20 +68,21 @@ def _judge(
     parts: dict[str, float] = dict(zip(PARTS, best.parts[k].tolist(), strict=True))
     margin, runner_up, runner_up_rms_m = _heading_margin(examiner, best, k, rivals)
     alternative, lead = _alternative(best, k, rivals)
-    fate, reason = _fate(known, evidence, parts, value, rules)
-    if displaced_by >= 0:
+    weakest = examiner.weakest_part(best.parts[k], int(best.model[k]))
+    fate, reason = _fate(known, evidence, parts, weakest, value, rules)
+    if displaced_by >= 0 and value >= rules.min_score:
         fate = "rejected"
         reason = (
             f"overlaps candidate {best.candidate[displaced_by]}, which explains the place better: "
             f"score {best.score[displaced_by]:.2f} against {value:.2f}"
         )
-    elif fate == "accepted" and continuing and not known.stretch:
+    elif fate == "accepted" and continuing and known.rigid:
         fate = "ambiguous"
         reason = f"type: what stands there goes on beyond the {continuing} of the model"
     elif fate == "accepted" and margin < rules.min_margin:
         fate = "ambiguous"
         reason = f"heading: another one scores only {margin:.3f} less"
-    elif fate == "accepted" and alternative >= 0 and lead < rules.min_margin and not known.stretch:
+    elif fate == "accepted" and alternative >= 0 and lead < rules.min_margin and known.rigid:
         fate = "ambiguous"
         reason = f"type: {examiner.objects[alternative].field.name} scores only {lead:.3f} less"
     return Verdict(
@@ -106,13 +107,13 @@ def _fate(
     known: KnownObject,
     evidence: dict[str, float],
     parts: dict[str, float],
+    weakest: str,
     value: float,
     rules: Rules,
 ) -> tuple[Fate, str]:
     """Fate and reason of a hypothesis in itself, whatever its rivals are."""
     observed = evidence["supported"] + evidence["contradicted"]
     if value < rules.min_score:
-        weakest = min(parts, key=lambda name: parts[name])
         return "rejected", (
             f"score {value:.2f} below {rules.min_score:g}; weakest part: "
             f"{weakest} {parts[weakest]:.2f}"

@@ -18,7 +18,7 @@ from spinpipe.stages.hypotheses import Course, coarse_poses, course_of, refine_p
 from spinpipe.stages.hypothesis_table import Hypotheses
 from spinpipe.stages.reference import right_instance
 from spinpipe.stages.resolve import resolve
-from spinpipe.stages.scoring import PARTS, score, score_parts
+from spinpipe.stages.scoring import PARTS, merits, score, score_parts
 from spinpipe.stages.surroundings import Sampling, Surroundings, build_surroundings
 from spinpipe.stages.tolerance import Tolerance, shell_share, tolerance
 from spinpipe.stages.verdict import KnownObject
@@ -157,6 +157,11 @@ class Examiner:
     def score(self, parts: F64, model: I64) -> F64:
         """Scores (S,) of parts (S, len(PARTS)) of hypotheses about models (S,)."""
         return score(parts, self.reference[model], self.stretch[model])
+
+    def weakest_part(self, parts: F64, model: int) -> str:
+        """Name of the part (of (len(PARTS),)) that costs a hypothesis about a model most."""
+        lost = merits(parts[None], self.reference[[model]], self.stretch[[model]])[0]
+        return PARTS[int(np.argmin(lost))]
 
     def _courses(self, scene: Surroundings, best: Hypotheses) -> dict[int, Course]:
         courses: dict[int, Course] = {}

@@ -36,7 +36,7 @@ def explain_neighbours(examiner: Examiner, table: Hypotheses, min_score: float) 
     """The table with the outlines that neighbours explain counted as seen, and scored again."""
     drops = table.evidence[:, [EVIDENCE.index(side) for side in SIDES]]
     # members of a family would fit side by side into any hedge or roof, and explain each other
-    known = examiner.stretch[table.model] == 0.0
+    known = np.array([o.rigid for o in examiner.objects])[table.model]
     worth = known & (table.score >= WORTH_A_SECOND_LOOK)
     rows = np.flatnonzero(worth & (drops < TOUCHED).any(axis=1))
     touched = table.rows(rows)

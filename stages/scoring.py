@@ -28,7 +28,7 @@ HIDDEN = 0.5
 SWALLOWED = 0.6
 """Credit for surface without any return, where ground is seen all around: dark paint and glass."""
 UNJUDGED = 0.3
-"""Sides are believed in unless what contradicts them is more than this share of them."""
+"""Support, as a share of the sides, that they have before any is seen: they are believed in."""
 STANDS = 0.125
 """How far off the ground a base may be, as a share of the height: kerbs, slopes, cut models."""
 SWALLOWS_SHAPE = 8
@@ -99,7 +99,17 @@ def score_parts(
 
 
 def score(parts: F64, reference: F64, stretch: F64) -> F64:
-    """Score 0..1 of each row of parts: a logistic function of a weighted sum of their logarithms.
+    """Score 0..1 of each row of parts: a logistic function of the merits of all parts.
+
+    Arguments as of ``merits``.
+    """
+    loose = looseness(stretch)
+    odds = (1.0 - loose) * KNOWN_ODDS + loose * LOOSE_ODDS
+    return 1.0 / (1.0 + np.exp(-(odds + merits(parts, reference, stretch).sum(axis=1))))
+
+
+def merits(parts: F64, reference: F64, stretch: F64) -> F64:
+    """What each part (S, len(PARTS)) adds to the logarithm of the odds; mostly negative.
 
     Parameters
     ----------
@@ -108,9 +118,12 @@ def score(parts: F64, reference: F64, stretch: F64) -> F64:
         that is little merit.
     stretch : (S,) of the models.
     """
-    loose = np.minimum(stretch / LOOSE, 1.0)
+    loose = looseness(stretch)
     powers = np.outer(1.0 - loose, KNOWN_POWERS) + np.outer(loose, LOOSE_POWERS)
-    odds = (1.0 - loose) * KNOWN_ODDS + loose * LOOSE_ODDS
     worth = np.log(np.clip(parts / reference, WORTHLESS, None))
-    worth = np.minimum(worth, LITTLE * worth)
-    return 1.0 / (1.0 + np.exp(-(odds + (powers * worth).sum(axis=1))))
+    return powers * np.minimum(worth, LITTLE * worth)
+
+
+def looseness(stretch: F64) -> F64:
+    """How much models that may stretch are families of shapes, 0..1."""
+    return np.minimum(stretch / LOOSE, 1.0)

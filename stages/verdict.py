@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.stages.model_field import ModelField
+from spinpipe.stages.scoring import LOOSE
 
 F64 = NDArray[np.float64]
 Fate = Literal["accepted", "ambiguous", "rejected"]
@@ -22,6 +23,11 @@ class KnownObject:
     field: ModelField
     stretch: float = 0.0
     visible_from: Literal["all", "above"] = "all"
+
+    @property
+    def rigid(self) -> bool:
+        """Whether its shape is known, rather than that of a family."""
+        return self.stretch < LOOSE / 2
 
 
 @dataclass(frozen=True)
