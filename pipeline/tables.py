@@ -88,7 +88,9 @@ def _keys(fields: dict[str, FieldInfo]) -> Table:
     table.add_column()
     for name, field in fields.items():
         if name != "models":
-            table.add_row(f"  {name}", default_text(field), field.description or "")
+            # as text: rich would take [x, y, z] for markup
+            cells = (f"  {name}", default_text(field), field.description or "")
+            table.add_row(*(Text(cell) for cell in cells))
     return table
 
 

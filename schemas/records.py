@@ -262,7 +262,11 @@ class Detection:
     heading_deg: float
     """Of the object's +x axis in the world, counter-clockwise from +x."""
     heading_margin: float
-    """Relative: (runner-up residual - residual) / residual."""
+    """How much better it is than the best other heading.
+
+    By evidence: its score minus that one's, the score itself without a rival; by trimmed ICP:
+    (that one's residual - its own) / its own.
+    """
     correlation: float
     rms_m: float
     inliers: int

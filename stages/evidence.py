@@ -2,8 +2,9 @@
 
 Model and points are compared both ways. A visible sample of the model is *supported* where the
 scene has a surface, *contradicted* where rays from above passed through it (points below, none at
-it, none above), *unobserved* otherwise. A scene point is *claimed* when it lies in the model's
-bounding box and is not ground, and *explained* when it lies on the model's surface.
+it, none above) or a surface stands beside it, *empty* or *covered* where nothing can be said. A
+scene point is *claimed* when it lies in the model's bounding box and is not ground, and *explained*
+when it lies on the model's surface.
 """
 
 from __future__ import annotations
@@ -25,8 +26,6 @@ TOUCHED = 0.5
 class EvidenceColumns(NamedTuple):
     """Columns of the evidence of a hypothesis; each a float."""
 
-    converged: float
-    """1 where the registration converged."""
     supported: float
     """This to ``sheltered``: shares of the visible surface, see ``surface_evidence``."""
     contradicted: float
@@ -34,9 +33,8 @@ class EvidenceColumns(NamedTuple):
     covered: float
     sheltered: float
     claimed: float
-    """This to ``inside``: weights of points, see ``scene_evidence``."""
+    """This and ``explained``: weights of points, see ``scene_evidence``."""
     explained: float
-    inside: float
     rms_m: float
     """Root mean square distance of the explained points to the surface; infinite without any."""
     drop: float
@@ -61,7 +59,7 @@ EVIDENCE = EvidenceColumns._fields
 
 
 @inner
-def gather_evidence(grid, body, field, pose, converged, gate, sharp):
+def gather_evidence(grid, body, field, pose, gate, sharp):
     """All evidence about a model at a pose.
 
     Parameters
@@ -70,7 +68,6 @@ def gather_evidence(grid, body, field, pose, converged, gate, sharp):
     body : Points, those of bodies near the candidate.
     field : FieldArrays.
     pose : (7,) float64.
-    converged : whether the registration converged.
     gate, sharp : see ``Tolerance``.
 
     Returns
@@ -83,7 +80,6 @@ def gather_evidence(grid, body, field, pose, converged, gate, sharp):
     claim = scene_evidence(body, field, pose, gate, free)
     side_supported, side_contradicted = side_evidence(grid, field, pose, gate, sharp, free)
     return EvidenceColumns(
-        1.0 if converged else 0.0,
         surface.supported,
         surface.contradicted,
         surface.empty,
@@ -91,7 +87,6 @@ def gather_evidence(grid, body, field, pose, converged, gate, sharp):
         surface.sheltered,
         claim.claimed,
         claim.explained,
-        claim.inside,
         root_mean_square(claim),
         outline.drop,
         outline.ring,

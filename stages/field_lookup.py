@@ -35,7 +35,6 @@ class FieldArrays(NamedTuple):
     voxel_m: float
     nearest: NDArray[np.int32]
     clearance: NDArray[np.float32]
-    solid: NDArray[np.bool_]
     footprint: NDArray[np.bool_]
     edges: NDArray[np.float64]
     depth_edge: NDArray[np.int32]
@@ -67,7 +66,6 @@ def field_arrays(model: ModelField) -> FieldArrays:
         voxel_m=float(model.voxel_m),
         nearest=model.nearest,
         clearance=model.clearance,
-        solid=model.solid,
         footprint=model.footprint,
         edges=model.edges,
         depth_edge=model.depth_edge,

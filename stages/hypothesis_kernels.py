@@ -75,13 +75,11 @@ def _kernels(sources: str):
             if body.xyz.shape[0] < TOO_FEW:
                 continue
             base = Base(ground_z[c], base_sd)
-            pose, converged, _ = refine(
+            pose, _, _ = refine(
                 body, ground, field, poses[c], gates, limits.stretch, base, no_course
             )
             poses[c] = pose
-            found = gather_evidence(
-                grid, body, field, pose, converged, limits.gate_m, limits.sharp_m
-            )
+            found = gather_evidence(grid, body, field, pose, limits.gate_m, limits.sharp_m)
             for k in range(len(found)):
                 evidence[c, k] = found[k]
 

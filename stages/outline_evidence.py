@@ -105,7 +105,7 @@ def outline_evidence(grid, field, pose, gate):
             if level_with and tall[k] and drop < 0.5 and overhead > 2 * inner_height:
                 levels[side] += 1.0
         elif overhead > 2 * inner_height:
-            continue  # a crown or a roof that hides what is below it
+            continue  # nothing seen, or a crown or a roof that hides what is below it
         observed[side] += 1.0
     seen = observed.sum()
     if seen == 0.0:

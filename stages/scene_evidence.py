@@ -12,11 +12,10 @@ from spinpipe.stages.field_lookup import nearest_sample
 
 
 class Claim(NamedTuple):
-    """Weights of points claimed, explained and deep inside the body, and of squared residuals."""
+    """Weights of points claimed and explained, and of squared residuals."""
 
     claimed: float
     explained: float
-    inside: float
     square_sum: float
     """Weighted squares of the point-to-plane residuals of the explained points, square metres."""
 
@@ -47,7 +46,6 @@ def scene_evidence(body, field, pose, gate, free):
     top = field.size[2] * sz
     claimed = 0.0
     explained = 0.0
-    inside = 0.0
     square_sum = 0.0
     for n in range(points.shape[0]):
         dx, dy = points[n, 0] - pose[0], points[n, 1] - pose[1]
@@ -74,9 +72,7 @@ def scene_evidence(body, field, pose, gate, free):
             square_sum += weights[n] * r
         elif within:
             claimed += weights[n]
-            if _is_solid(field, ux / sx, uy / sy, uz / sz):
-                inside += weights[n]
-    return Claim(claimed, explained, inside, square_sum)
+    return Claim(claimed, explained, square_sum)
 
 
 @inner
@@ -91,11 +87,3 @@ def side_of(x, y, out_x, out_y):
 def root_mean_square(claim):
     """Distance of the explained points to the surface, metres; infinite without any."""
     return math.sqrt(claim.square_sum / claim.explained) if claim.explained > 0.0 else np.inf
-
-
-@inner
-def _is_solid(field, ux, uy, uz):
-    """Whether a point on the grid, of the unstretched object frame, is inside the body."""
-    origin, inv = field.origin, 1.0 / field.voxel_m
-    i, j, k = int((ux - origin[0]) * inv), int((uy - origin[1]) * inv), int((uz - origin[2]) * inv)
-    return field.solid[i, j, k]

@@ -12,8 +12,8 @@ from spinpipe.stages.surface_evidence import depth_at, enough_for_a_surface
 
 LOW = 0.1
 """Height, as a share of the model's, up to which points beside it may be the ground's."""
-ENOUGH = 4
-"""Least points that make a surface."""
+STANDING_POINTS = 4
+"""Least points beside it that make a surface."""
 
 
 @inner
@@ -63,7 +63,7 @@ def side_evidence(grid, field, pose, gate, sharp, free):
                         below += 1
         if at > 0:
             side = side_of(normals[k, 0], normals[k, 1], abs(normals[k, 0]), abs(normals[k, 1]))
-            if free[side] and standing >= ENOUGH:
+            if free[side] and standing >= STANDING_POINTS:
                 # a mean of several points, so known better than one
                 near = math.sqrt(sharp * sharp + (gate * gate - sharp * sharp) / standing)
                 if abs(offset / standing) > near:

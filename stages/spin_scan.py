@@ -78,7 +78,10 @@ def _kernels(sources: str):
 
     @njit(cache=True, nogil=True, error_model="numpy")
     def prune_blocks(index, origins, start, templates, scratch, tests, found, work):
-        """Correlations of hits into ``found`` (T, M), the rest left as it is; see above."""
+        """Correlations of hits into ``found`` (T, M), the rest left as it is.
+
+        ``tests`` is memory for the tests of groups, ``work`` as of ``scan_blocks``.
+        """
         _ = sources
         radius_sq, height = _reach(templates)
         for block in range(len(start) - 1):

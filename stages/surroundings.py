@@ -68,7 +68,10 @@ class Surroundings:
         )
 
     def ground_at(self, xy: F64) -> F64:
-        """Height of the local ground at (K, 2) places: that under the nearest point's cell."""
+        """Height of the local ground at (K, 2) places: that under a point of the cell there.
+
+        An empty cell takes a point of the next one that is not.
+        """
         cell = np.floor((xy - self.corner) / self.cell_m).astype(np.int64)
         cell = np.clip(cell, 0, self.cells - 1)
         first = self.start[cell[:, 0] * self.cells[1] + cell[:, 1]]

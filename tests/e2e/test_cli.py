@@ -171,6 +171,10 @@ def test_stages_explains_every_stage_and_key(cli: Cli) -> None:
                 assert re.search(rf"^  {key} ", outcome.out, re.MULTILINE), key
 
 
+def test_stages_prints_brackets_as_they_are(cli: Cli) -> None:
+    assert "[x, y, z]" in cli("stages").out
+
+
 def test_overrides_may_name_paths_relative_to_the_current_folder(
     cli: Cli, yard: Yard, yard_run: YardRun, tmp_path: Path
 ) -> None:
