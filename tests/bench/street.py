@@ -3,8 +3,8 @@
     uv run python tests/bench/street.py
 
 The street of ``scan_scenes.py`` (eight cars between facades, trees and bushes, 1000 points per
-square metre, 2 cm noise) goes through the pipeline with every point as an origin, with proven
-pruning and coarse to fine.
+square metre, 2 cm noise) goes through the pipeline with the spin images of ``scan.py`` and every
+point as an origin, with proven pruning and coarse to fine.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from scan_scenes import DENSITY, street
+from scan_scenes import DENSITY, GRID, street
 
 from spinpipe.pipeline.commands import execute
 from spinpipe.pipeline.config import load_config
@@ -30,6 +30,9 @@ scene = '{scene}'
 up = [0.0, 0.0, 1.0]
 [scan]
 heights = "any"
+radius_m = {radius_m}
+height_m = {height_m}
+bin_m = {bin_m}
 [[model]]
 name = "saloon"
 path = '{model}'
@@ -60,7 +63,9 @@ def main() -> None:
         write_ply(folder / "scene.ply", cloud_rows(cloud))
         write_ply(folder / "model.ply", cloud_rows(mesh.vertices), mesh.faces.astype(np.int32))
         config = folder / "config.toml"
-        config.write_text(CONFIG.format(scene=folder / "scene.ply", model=folder / "model.ply"))
+        files = {"scene": folder / "scene.ply", "model": folder / "model.ply"}
+        sizes = {"radius_m": GRID.radius_m, "height_m": GRID.height_m, "bin_m": GRID.bin_m}
+        config.write_text(CONFIG.format(**files, **sizes))
         for method, settings in METHODS:
             run = RunFolder(folder / "run")
             settings = [*settings, f"execution.threads={options.threads}"]
