@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 SIDES = ("front", "left", "back", "right")
@@ -19,8 +21,6 @@ GOES_ON = 0.5
 BEYOND = np.array([0.2, 0.5, 0.9])
 """Where outside a side a neighbour is looked for, in half extents of the narrow side."""
 ALONG = np.array([-0.5, 0.0, 0.5])
-ROWS = 128
-"""Fits looked at together."""
 
 
 def explained_sides(poses: F64, sizes: F64, near_poses: F64, near_sizes: F64) -> Flags:
@@ -31,11 +31,14 @@ def explained_sides(poses: F64, sizes: F64, near_poses: F64, near_sizes: F64) ->
     poses, sizes : (S, 4) x, y, z of the base centre and yaw; (S, 3) extents, metres.
     near_poses, near_sizes : of the instances. One that stands in the same place is the fit itself.
     """
-    found = np.zeros((len(poses), len(SIDES)), bool)
-    for first in range(0, len(poses), ROWS):
-        rows = slice(first, first + ROWS)
-        found[rows] = _explained(poses[rows], sizes[rows], near_poses, near_sizes)
-    return found
+    covered = np.zeros((len(poses), len(SIDES), len(BEYOND), len(ALONG)), bool)
+    if len(poses) and len(near_poses):
+        fit, near = _pairs_within_reach(poses, sizes, near_poses, near_sizes)
+        pair, other_pair = (poses[fit], sizes[fit]), (near_poses[near], near_sizes[near])
+        same = _within(pair[0][:, :2], *other_pair) | _within(other_pair[0][:, :2], *pair)
+        beyond = _within(_places_beyond(*pair), *other_pair) & ~same[:, None, None, None]
+        np.logical_or.at(covered, fit, beyond)
+    return np.asarray(2 * covered.any(axis=2).sum(axis=2) >= len(ALONG))
 
 
 def first_continuing(levels: F64, explained: Flags) -> list[str]:
@@ -50,14 +53,15 @@ def first_continuing(levels: F64, explained: Flags) -> list[str]:
     return [SIDES[np.argmax(row)] if row.any() else "" for row in goes_on]
 
 
-def _explained(poses: F64, sizes: F64, near_poses: F64, near_sizes: F64) -> Flags:
-    middle = _within(poses[:, None, :2], near_poses, near_sizes)[:, 0]
-    swapped = _within(near_poses[:, None, :2], poses, sizes)[:, 0].T
-    other = ~(middle | swapped)
-    places = _places_beyond(poses, sizes)
-    beyond = _within(places.reshape(len(poses), -1, 2), near_poses, near_sizes) & other[:, None]
-    covered = beyond.any(axis=2).reshape(len(poses), len(SIDES), len(BEYOND), len(ALONG))
-    return np.asarray(2 * covered.any(axis=2).sum(axis=2) >= len(ALONG))
+def _pairs_within_reach(
+    poses: F64, sizes: F64, near_poses: F64, near_sizes: F64
+) -> tuple[I64, I64]:
+    """Rows of fits and of the instances that may lie beyond their sides, pair by pair."""
+    reach = np.hypot(sizes[:, 0], sizes[:, 1]) / 2 + BEYOND.max() * sizes[:, :2].min(axis=1) / 2
+    reach += np.hypot(near_sizes[:, 0], near_sizes[:, 1]).max() / 2
+    found = KDTree(near_poses[:, :2]).query_ball_point(poses[:, :2], reach, return_sorted=True)
+    fit = np.repeat(np.arange(len(poses)), [len(rows) for rows in found])
+    return fit, np.concatenate([np.asarray(rows, np.int64) for rows in found])
 
 
 def _places_beyond(poses: F64, sizes: F64) -> F64:
@@ -75,9 +79,12 @@ def _places_beyond(poses: F64, sizes: F64) -> F64:
 
 
 def _within(places: F64, poses: F64, sizes: F64) -> Flags:
-    """Whether places (S, P, 2) lie in the footprints of N bodies: (S, P, N)."""
-    offset = places[:, :, None] - poses[:, :2]
-    cos, sin = np.cos(poses[:, 3]), np.sin(poses[:, 3])
-    along = np.abs(offset[..., 0] * cos + offset[..., 1] * sin)
-    across = np.abs(offset[..., 1] * cos - offset[..., 0] * sin)
-    return (along <= sizes[:, 0] / 2) & (across <= sizes[:, 1] / 2)
+    """Whether places (Q, ..., 2) lie in the footprints of Q bodies, each in its own."""
+    wide = (len(poses), *(1,) * (places.ndim - 2))
+    x, y, yaw, length, width = (
+        column.reshape(wide) for column in (*poses[:, [0, 1, 3]].T, *sizes[:, :2].T)
+    )
+    dx, dy = places[..., 0] - x, places[..., 1] - y
+    along = np.abs(dx * np.cos(yaw) + dy * np.sin(yaw))
+    across = np.abs(dy * np.cos(yaw) - dx * np.sin(yaw))
+    return (along <= length / 2) & (across <= width / 2)

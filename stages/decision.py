@@ -12,7 +12,6 @@ from spinpipe.stages.evidence import EVIDENCE
 from spinpipe.stages.examiner import Examiner
 from spinpipe.stages.hypothesis_table import Hypotheses
 from spinpipe.stages.neighbours import explain_neighbours, standing
-from spinpipe.stages.resolve import resolve
 from spinpipe.stages.scoring import PARTS
 from spinpipe.stages.verdict import Fate, KnownObject, Rules, Verdict
 
@@ -23,12 +22,10 @@ def decide(examiner: Examiner, table: Hypotheses, places: F64, rules: Rules) -> 
     """The verdict on every candidate, given all hypotheses."""
     table = explain_neighbours(examiner, table, rules.min_score)
     best = table.rows(table.best_rows())
-    sizes = examiner.sizes(best)
-    displaced_by = resolve(best.pose[:, :4], sizes, best.score)
-    near, near_sizes = standing(examiner, best, rules.min_score)
+    near = standing(examiner, best, rules.min_score)
     continuing = first_continuing(
         best.evidence[:, [EVIDENCE.index(f"{side}_level") for side in SIDES]],
-        explained_sides(best.pose[:, :4], sizes, near.pose[:, :4], near_sizes),
+        explained_sides(best.pose[:, :4], examiner.sizes(best), near.poses, near.sizes),
     )
     position = {int(c): k for k, c in enumerate(best.candidate)}
     verdicts: list[Verdict] = []
@@ -39,7 +36,7 @@ def decide(examiner: Examiner, table: Hypotheses, places: F64, rules: Rules) -> 
         else:
             rivals = table.rows(rows)
             verdicts.append(
-                _judge(examiner, best, k, rivals, int(displaced_by[k]), continuing[k], rules)
+                _judge(examiner, best, k, rivals, int(near.displaced_by[k]), continuing[k], rules)
             )
     return verdicts
 

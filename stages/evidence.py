@@ -14,13 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from spinpipe.stages.compiled import inner
-from spinpipe.stages.outline_evidence import outline_evidence
+from spinpipe.stages.outline_evidence import TOUCHED, outline_evidence
 from spinpipe.stages.scene_evidence import root_mean_square, scene_evidence
 from spinpipe.stages.side_evidence import side_evidence
 from spinpipe.stages.surface_evidence import surface_evidence
-
-TOUCHED = 0.5
-"""A side is touched by something else where the scene drops by less, see ``outline_evidence``."""
 
 
 class EvidenceColumns(NamedTuple):

@@ -1,8 +1,9 @@
-"""A model's whole surface as dense points with normals, whatever the model was given as."""
+"""A model's whole surface as dense points with normals, and how many points of a cloud it gets."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from spinpipe.schemas.records import F64, ObjectModel
@@ -12,6 +13,8 @@ from spinpipe.stages.shapes import Mesh
 SURFACE_POINTS = 60_000
 NEIGHBOURS = 12
 """Points of a cloud that a normal is estimated from."""
+FACES_PER_VOXEL = 1.5
+"""Mean number of voxels of side v that a surface of area v^2 touches, over all its directions."""
 
 
 def model_surface(model: ObjectModel, rng: np.random.Generator) -> tuple[F64, F64]:
@@ -38,3 +41,16 @@ def _plane_normals(points: F64, at: F64) -> F64:
     centred = near - near.mean(axis=1, keepdims=True)
     # eigenvectors come in ascending order: the first is the direction of least spread
     return np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))[1][:, :, 0]
+
+
+def points_on(points: NDArray[np.floating], density: float, voxels_along: int = 40) -> float:
+    """How many points a cloud has on a surface that (N, 3) points sample densely.
+
+    The area follows from the voxels that they fall into; ``density`` is the cloud's, per square
+    metre.
+    """
+    voxel_m = float(np.ptp(points, axis=0).max()) / voxels_along
+    if voxel_m == 0:
+        return 0.0
+    occupied = np.unique(np.floor(points / voxel_m).astype(np.int64), axis=0)
+    return len(occupied) * voxel_m**2 / FACES_PER_VOXEL * density

@@ -7,14 +7,16 @@ to be an instance explains that, and by that others may become instances.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.stages.continuation import SIDES, explained_sides
-from spinpipe.stages.evidence import EVIDENCE, TOUCHED
+from spinpipe.stages.evidence import EVIDENCE
 from spinpipe.stages.examiner import WORTH_A_SECOND_LOOK, Examiner
 from spinpipe.stages.hypothesis_table import Hypotheses
+from spinpipe.stages.outline_evidence import TOUCHED
 from spinpipe.stages.resolve import resolve
 from spinpipe.stages.scoring import PARTS
 
@@ -24,12 +26,21 @@ ROUNDS = 4
 """Rows are explained from their ends; few are longer than twice as many."""
 
 
-def standing(examiner: Examiner, best: Hypotheses, min_score: float) -> tuple[Hypotheses, F64]:
-    """Which of the best hypotheses are instances as far as is known, and their extents."""
-    sizes = examiner.sizes(best)
-    displaced_by = resolve(best.pose[:, :4], sizes, best.score)
+class Standing(NamedTuple):
+    """Instances as far as is known: poses (N, 4), extents (N, 3), and which fits gave way."""
+
+    poses: F64
+    sizes: F64
+    displaced_by: NDArray[np.int64]
+    """(S,) of all fits, see ``resolve``."""
+
+
+def standing(examiner: Examiner, best: Hypotheses, min_score: float) -> Standing:
+    """Which of the best hypotheses of all candidates are instances as far as is known."""
+    poses, sizes = best.pose[:, :4], examiner.sizes(best)
+    displaced_by = resolve(poses, sizes, best.score)
     stays = (displaced_by < 0) & (best.score >= min_score)
-    return best.rows(stays), sizes[stays]
+    return Standing(poses[stays], sizes[stays], displaced_by)
 
 
 def explain_neighbours(examiner: Examiner, table: Hypotheses, min_score: float) -> Hypotheses:
@@ -39,14 +50,16 @@ def explain_neighbours(examiner: Examiner, table: Hypotheses, min_score: float) 
     known = np.array([o.rigid for o in examiner.objects])[table.model]
     worth = known & (table.score >= WORTH_A_SECOND_LOOK)
     rows = np.flatnonzero(worth & (drops < TOUCHED).any(axis=1))
+    if len(rows) == 0:
+        return table
     touched = table.rows(rows)
     drops, sizes = drops[rows], examiner.sizes(touched)
     outline = sizes[:, [1, 0, 1, 0]]
     outline = outline / outline.sum(axis=1, keepdims=True)
     seen, before = table, np.zeros(0)
     for _ in range(ROUNDS):
-        near, near_sizes = standing(examiner, seen.rows(seen.best_rows()), min_score)
-        explained = explained_sides(touched.pose[:, :4], sizes, near.pose[:, :4], near_sizes)
+        near = standing(examiner, seen.rows(seen.best_rows()), min_score)
+        explained = explained_sides(touched.pose[:, :4], sizes, near.poses, near.sizes)
         hidden = (outline * (1.0 - drops) * (explained & (drops < TOUCHED))).sum(axis=1)
         drop = np.clip(touched.evidence[:, EVIDENCE.index("drop")] + hidden, 0.0, 1.0)
         parts, value = table.parts.copy(), table.score.copy()

@@ -13,6 +13,8 @@ from spinpipe.stages.scene_evidence import side_of
 
 COLUMN_CELLS = 0.7
 """Radius of the column looked at, in cells."""
+TOUCHED = 0.5
+"""Something else touches a side, or the body goes on, where the scene drops by a smaller share."""
 LEVEL = 0.1
 """The scene goes on beyond the outline where its height differs by less than this share, or the
 gate."""
@@ -102,7 +104,7 @@ def outline_evidence(grid, field, pose, gate):
             drop = min(max((inner_height - level) / inner_height, 0.0), 1.0)
             drops[side] += drop
             level_with = abs(inner_height - top) <= max(gate, LEVEL * inner_height)
-            if level_with and tall[k] and drop < 0.5 and overhead > 2 * inner_height:
+            if level_with and tall[k] and drop < TOUCHED and overhead > 2 * inner_height:
                 levels[side] += 1.0
         elif overhead > 2 * inner_height:
             continue  # nothing seen, or a crown or a roof that hides what is below it

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from spinpipe.schemas.records import Sampling
 from spinpipe.stages.evidence import EVIDENCE
 from spinpipe.stages.field_lookup import POSE
-from spinpipe.stages.hit_threshold import points_on
 from spinpipe.stages.hypotheses import refine_poses
 from spinpipe.stages.model_field import ModelField
+from spinpipe.stages.model_surface import points_on
 from spinpipe.stages.scoring import score_parts
 from spinpipe.stages.surroundings import build_surroundings
 from spinpipe.stages.tolerance import Tolerance

@@ -32,8 +32,9 @@ from spinpipe.schemas.records import (
     ScoreTile,
     SpinImage,
 )
-from spinpipe.stages.hit_threshold import hit_threshold, points_on
+from spinpipe.stages.hit_threshold import hit_threshold
 from spinpipe.stages.model_heights import HeightBands
+from spinpipe.stages.model_surface import points_on
 from spinpipe.stages.neighbourhood import WorldCloud
 from spinpipe.stages.spin_image import (
     SpinGrid,

@@ -1,6 +1,7 @@
 """What coarse to fine scanning leaves of the detections on a dense street: none may be lost.
 
     uv run python tests/bench/street.py
+    uv run python tests/bench/street.py --derived
 
 The street of ``scan_scenes.py`` (eight cars between facades, trees and bushes, 1000 points per
 square metre, 2 cm noise) goes through the pipeline with the spin images of ``scan.py`` and every
@@ -13,6 +14,7 @@ import argparse
 import json
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scan_scenes import DENSITY, GRID, street
@@ -30,9 +32,7 @@ scene = '{scene}'
 up = [0.0, 0.0, 1.0]
 [scan]
 heights = "any"
-radius_m = {radius_m}
-height_m = {height_m}
-bin_m = {bin_m}
+{sizes}
 [[model]]
 name = "saloon"
 path = '{model}'
@@ -52,6 +52,9 @@ def main() -> None:
     )
     parser.add_argument("--density", type=float, default=DENSITY)
     parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument(
+        "--derived", action="store_true", help="the spin image that follows from the model"
+    )
     options = parser.parse_args()
     cloud, cars = street(options.density, 0.02)
     places = np.array(cars)
@@ -64,8 +67,8 @@ def main() -> None:
         write_ply(folder / "model.ply", cloud_rows(mesh.vertices), mesh.faces.astype(np.int32))
         config = folder / "config.toml"
         files = {"scene": folder / "scene.ply", "model": folder / "model.ply"}
-        sizes = {"radius_m": GRID.radius_m, "height_m": GRID.height_m, "bin_m": GRID.bin_m}
-        config.write_text(CONFIG.format(**files, **sizes))
+        sizes = f"radius_m = {GRID.radius_m}\nheight_m = {GRID.height_m}\nbin_m = {GRID.bin_m}"
+        config.write_text(CONFIG.format(**files, sizes="" if options.derived else sizes))
         for method, settings in METHODS:
             run = RunFolder(folder / "run")
             settings = [*settings, f"execution.threads={options.threads}"]
@@ -83,8 +86,9 @@ def main() -> None:
             )
 
 
-def _hits(scan: dict[str, object]) -> str:
-    return next((n.split()[0] for n in scan["notes"] if " hits of " in n), "?")  # type: ignore[union-attr]
+def _hits(scan: dict[str, Any]) -> str:
+    """Number of hits, from the stage's notes."""
+    return next(note.split()[0] for note in scan["notes"] if " hits of " in note)
 
 
 if __name__ == "__main__":

@@ -9,8 +9,8 @@ from spinpipe.stages.hit_threshold import (
     MIN_CORRELATION,
     counting_loss,
     hit_threshold,
-    points_on,
 )
+from spinpipe.stages.model_surface import points_on
 from spinpipe.stages.shapes import Mesh, box, sample_surface, surface_area
 from spinpipe.stages.vehicles import vehicle_mesh
 
@@ -41,3 +41,7 @@ def test_the_least_counted_model_decides() -> None:
 def test_points_on_a_surface(mesh: Mesh) -> None:
     points, _ = sample_surface(*mesh, 40_000, np.random.default_rng(1))
     assert points_on(points, 100.0) == pytest.approx(100.0 * surface_area(mesh), rel=0.35)
+
+
+def test_a_point_has_no_surface() -> None:
+    assert points_on(np.full((1, 3), 7.0), 100.0) == 0.0
