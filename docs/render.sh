@@ -9,7 +9,7 @@ uv run python - "$run/run.rrd" docs/picture.png <<'END'
 import sys
 from pathlib import Path
 
-from spinpipe.pipeline.render import render
+from spinpipe.pipeline.drawing.render import render
 
 recording, picture = map(Path, sys.argv[1:])
 sys.exit("\n".join(render(recording, picture, timeline="iteration", step=11)) or 0)

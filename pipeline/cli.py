@@ -162,7 +162,7 @@ def evaluate(
     ] = None,
 ) -> None:
     """Compare a run with labels: recall, precision, errors and misses."""
-    from spinpipe.pipeline.evaluate import eval_command
+    from spinpipe.pipeline.evaluation.evaluate import eval_command
 
     rule = None if by_model is None else "name" if by_model else "any"
     eval_command(folder, truth, radius, rule, frame.value, json, picture)
@@ -179,7 +179,7 @@ def plant(
     rerun: RerunOption = RerunMode.off,
 ) -> None:
     """Plant the models into their scene and look: recall without labels."""
-    from spinpipe.pipeline.plant import plant_command
+    from spinpipe.pipeline.evaluation.plant import plant_command
 
     plant_command(path, count, seed, picture, rerun.value)
 
@@ -197,7 +197,7 @@ def paper(
     truth: Annotated[Path | None, typer.Option(metavar="CSV", help="Its labels.")] = None,
 ) -> None:
     """Repeat the paper's experiments; print its numbers beside ours."""
-    from spinpipe.pipeline.paper import paper_command
+    from spinpipe.pipeline.evaluation.paper import paper_command
 
     paper_command(output, scene, model, truth)
 

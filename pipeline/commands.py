@@ -11,12 +11,12 @@ from spinpipe.pipeline.atomic import write_atomically
 from spinpipe.pipeline.config import ConfigError, RunConfig, load_config
 from spinpipe.pipeline.context import RunReader, thread_count
 from spinpipe.pipeline.demo import DEMO_CONFIG, write_example
+from spinpipe.pipeline.drawing.recording import RecordMode
 from spinpipe.pipeline.engine import open_engine
 from spinpipe.pipeline.export import export_results
 from spinpipe.pipeline.init import commented_config
 from spinpipe.pipeline.plan import Step, make_plan
 from spinpipe.pipeline.recorder import recorder
-from spinpipe.pipeline.recording import RecordMode
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.pipeline.runner import Runner, StageReport, locked, report_document
 from spinpipe.pipeline.tables import detection_table, plan_table, stage_tables

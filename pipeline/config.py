@@ -14,7 +14,7 @@ from pydantic import Field, ValidationError
 from pydantic.fields import FieldInfo
 
 from spinpipe.stages import STAGES
-from spinpipe.stages.ingest import ModelConfig
+from spinpipe.stages.ingest.ingest import ModelConfig
 from spinpipe.stages.stage import Section
 
 

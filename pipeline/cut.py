@@ -13,14 +13,14 @@ from spinpipe.pipeline.atomic import write_atomically
 from spinpipe.pipeline.config import ConfigError
 from spinpipe.pipeline.context import RunReader
 from spinpipe.pipeline.run_folder import RunFolder
+from spinpipe.pipeline.scenes.cutting import around_box, cut_instance
+from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
 from spinpipe.schemas import CLOUD, SCENE, TILES, UPRIGHT
 from spinpipe.schemas.records import F64, U8
-from spinpipe.stages.cutting import around_box, cut_instance
-from spinpipe.stages.frames import inverse, transform, world_from_scene
-from spinpipe.stages.neighbourhood import WorldCloud
-from spinpipe.stages.object_model import ModelConfig
+from spinpipe.stages.geometry.frames import inverse, transform, world_from_scene
+from spinpipe.stages.geometry.world_cloud import WorldCloud
+from spinpipe.stages.ingest.object_model import ModelConfig
 from spinpipe.stages.stage import StageError
-from spinpipe.stages.write_ply import cloud_rows, write_ply
 
 MIN_POINTS = 100
 """Fewer points say little about a shape."""

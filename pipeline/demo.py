@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from spinpipe.pipeline.atomic import write_atomically
-from spinpipe.stages.artificial import SEED, ArtificialScene, make_scene
-from spinpipe.stages.write_ply import cloud_rows, write_ply
+from spinpipe.pipeline.scenes.artificial import SEED, ArtificialScene, make_scene
+from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
 
 SCENE_POINTS = 250_000
 """[Bovenkamp 2010, section 3.1]."""

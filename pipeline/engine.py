@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 from spinpipe.pipeline.config import ConfigError, ExecutionSection
-from spinpipe.stages.spin_kernel import map_threads
 from spinpipe.stages.stage import StageError
+from spinpipe.stages.threads import map_threads
 
 if TYPE_CHECKING:
     from distributed import Client, Future

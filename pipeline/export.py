@@ -13,11 +13,11 @@ import numpy as np
 
 from spinpipe.pipeline.atomic import write_atomically
 from spinpipe.pipeline.run_folder import RunFolder
+from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
 from spinpipe.schemas import DETECTIONS, MODELS
 from spinpipe.schemas.records import Detection, ObjectModel
 from spinpipe.schemas.topics import Topic
-from spinpipe.stages.frames import inverse
-from spinpipe.stages.write_ply import cloud_rows, write_ply
+from spinpipe.stages.geometry.frames import inverse
 
 T = TypeVar("T")
 

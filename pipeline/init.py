@@ -10,7 +10,7 @@ from pydantic.fields import FieldInfo
 
 from spinpipe.pipeline.config import SECTIONS
 from spinpipe.pipeline.tables import default_text
-from spinpipe.stages.ingest import ModelConfig
+from spinpipe.stages.ingest.ingest import ModelConfig
 
 HEADER = """\
 # A run of spinpipe: spinpipe run {file}

@@ -14,8 +14,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from spinpipe.pipeline.scenes.gltf_buffers import external_buffers
 from spinpipe.stages import STAGES
-from spinpipe.stages.gltf_buffers import external_buffers
 from spinpipe.stages.stage import Stage, StageError
 
 

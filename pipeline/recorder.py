@@ -8,7 +8,7 @@ from pathlib import Path
 
 from spinpipe.pipeline.atomic import commit
 from spinpipe.pipeline.context import RunReader
-from spinpipe.pipeline.recording import (
+from spinpipe.pipeline.drawing.recording import (
     RecordMode,
     close_recording,
     open_recording,

@@ -15,7 +15,7 @@ from spinpipe.pipeline.config import SECTIONS
 from spinpipe.pipeline.plan import Step
 from spinpipe.schemas.records import Detection
 from spinpipe.stages import STAGES
-from spinpipe.stages.ingest import ModelConfig
+from spinpipe.stages.ingest.ingest import ModelConfig
 
 MAX_ROWS = 40
 

@@ -29,7 +29,10 @@ inlined = njit(
 """The same for what is called at every origin."""
 
 
-def sources(*modules: str) -> str:
-    """Digest of the sources of modules beside this one, and of this one."""
-    texts = [Path(__file__).with_name(f"{name}.py").read_bytes() for name in (*modules, "compiled")]
-    return hashlib.sha256(b"".join(texts)).hexdigest()
+def sources(folder: str) -> str:
+    """Digest of the sources of all kernels below a folder beside this file, and of this file."""
+    here = Path(__file__)
+    files = [here, *sorted((here.parent / folder).rglob("*.py"))]
+    texts = [file.read_bytes() for file in files]
+    kernels = [text for text in texts if b"stages.compiled import" in text or text is texts[0]]
+    return hashlib.sha256(b"".join(kernels)).hexdigest()

@@ -19,8 +19,8 @@ import pytest
 from numpy.typing import NDArray
 from plyfile import PlyData, PlyElement
 
-from spinpipe.stages.artificial_cars import SALOON, car_mesh
-from spinpipe.stages.shapes import (
+from spinpipe.pipeline.scenes.artificial_cars import SALOON, car_mesh
+from spinpipe.stages.geometry.shapes import (
     box,
     covered_from_above,
     cylinder,

@@ -60,11 +60,10 @@ def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_module_is_in_the_wheel_and_nothing_else(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     for folder in ("schemas", "stages", "pipeline"):
-        here = {path.name for path in (ROOT / folder).glob("*.py*")}
-        there = {Path(name).name for name in names if name.startswith(f"spinpipe/{folder}/")}
-        assert here <= there | {"__pycache__"}
-        assert "py.typed" in there
-        assert not list((ROOT / folder).glob("*/*.py")), "sub-packages are not listed"
+        here = {str(path.relative_to(ROOT)) for path in (ROOT / folder).rglob("*.py*")}
+        here = {name for name in here if "__pycache__" not in name}
+        assert {f"spinpipe/{name}" for name in here} <= set(names)
+        assert f"spinpipe/{folder}/py.typed" in names
     assert "spinpipe/schemas/spinpipe.proto" in names
     assert all(name.startswith(("spinpipe/", "spinpipe-")) for name in names)
 

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from spinpipe.pipeline.demo import write_example
-from spinpipe.stages.artificial import EXTENT_M, make_scene
+from spinpipe.pipeline.scenes.artificial import EXTENT_M, make_scene
 
 POINTS_PER_BLOCK = 2_000_000
 NOISE_M = 0.03

@@ -13,11 +13,11 @@ import numpy as np
 
 from spinpipe.pipeline.commands import execute
 from spinpipe.pipeline.config import RunConfig
-from spinpipe.pipeline.evaluate import evaluate_run
-from spinpipe.pipeline.evaluation import Match, gave_way
-from spinpipe.pipeline.evaluation_report import Evaluation
+from spinpipe.pipeline.evaluation.evaluate import evaluate_run
+from spinpipe.pipeline.evaluation.evaluation import Match, gave_way
+from spinpipe.pipeline.evaluation.report import Evaluation
+from spinpipe.pipeline.evaluation.truth import TruthObject
 from spinpipe.pipeline.run_folder import RunFolder
-from spinpipe.pipeline.truth import TruthObject
 from spinpipe.schemas.records import Detection
 from spinpipe.stages.stage import StageError
 

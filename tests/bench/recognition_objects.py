@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spinpipe.stages.shapes import Mesh, box, cylinder, extruded, lofted, merged, placed
-from spinpipe.stages.vehicles import vehicle_mesh
+from spinpipe.stages.geometry.shapes import Mesh, box, cylinder, extruded, lofted, merged, placed
+from spinpipe.stages.ingest.vehicles import vehicle_mesh
 
 ROUND = 0
 """Order of symmetry of what looks the same from everywhere."""

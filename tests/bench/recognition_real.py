@@ -15,11 +15,11 @@ from recognition_judge import Trial, judge
 
 from spinpipe.pipeline.atomic import write_atomically
 from spinpipe.pipeline.config import load_config
-from spinpipe.pipeline.truth import TruthObject
+from spinpipe.pipeline.evaluation.truth import TruthObject
+from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
 from spinpipe.schemas.records import Detection
-from spinpipe.stages.scene_source import open_scene
-from spinpipe.stages.shapes import upright_pose
-from spinpipe.stages.write_ply import cloud_rows, write_ply
+from spinpipe.stages.geometry.shapes import upright_pose
+from spinpipe.stages.ingest.scene_source import open_scene
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]

@@ -11,8 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, grey_closing
 
-from spinpipe.stages.seen_from_above import seen_from_above
-from spinpipe.stages.shapes import Mesh, merged, placed, sample_surface, surface_area, upright_pose
+from spinpipe.stages.geometry.seen_from_above import seen_from_above
+from spinpipe.stages.geometry.shapes import (
+    Mesh,
+    merged,
+    placed,
+    sample_surface,
+    surface_area,
+    upright_pose,
+)
 
 F64 = NDArray[np.float64]
 View = Literal["all", "above", "skin"]

@@ -19,8 +19,8 @@ from recognition_objects import Sought
 from recognition_sampling import Ground, Thing, View, points_of
 
 from spinpipe.pipeline.atomic import write_atomically
-from spinpipe.stages.shapes import Mesh, box, cylinder, ellipsoid, placed, upright_pose
-from spinpipe.stages.write_ply import cloud_rows, write_ply
+from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
+from spinpipe.stages.geometry.shapes import Mesh, box, cylinder, ellipsoid, placed, upright_pose
 
 F64 = NDArray[np.float64]
 Disc = tuple[float, float, float]

@@ -11,7 +11,7 @@ from recognition_objects import Sought
 from recognition_scenes import Condition, Scene, make_scene
 
 from spinpipe.pipeline.config import load_config
-from spinpipe.pipeline.truth import TruthObject
+from spinpipe.pipeline.evaluation.truth import TruthObject
 from spinpipe.schemas.records import Detection
 
 CONFIG = """\

@@ -13,11 +13,11 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.stages.artificial import SEED, make_scene
-from spinpipe.stages.artificial_cars import SALOON, car_mesh
-from spinpipe.stages.artificial_clutter import bush, tree
-from spinpipe.stages.shapes import Mesh, box, placed, sample_surface, surface_area
-from spinpipe.stages.spin_image import SpinGrid, SpinTemplate, template_from_cloud
+from spinpipe.pipeline.scenes.artificial import SEED, make_scene
+from spinpipe.pipeline.scenes.artificial_cars import SALOON, car_mesh
+from spinpipe.pipeline.scenes.artificial_clutter import bush, tree
+from spinpipe.stages.geometry.shapes import Mesh, box, placed, sample_surface, surface_area
+from spinpipe.stages.scan.spin_image import SpinGrid, SpinTemplate, template_from_cloud
 
 GRID = SpinGrid(2.5, 1.0, 0.1)
 DENSITY = 1000

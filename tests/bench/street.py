@@ -22,8 +22,8 @@ from scan_scenes import DENSITY, GRID, street
 from spinpipe.pipeline.commands import execute
 from spinpipe.pipeline.config import load_config
 from spinpipe.pipeline.run_folder import RunFolder
-from spinpipe.stages.artificial_cars import SALOON, car_mesh
-from spinpipe.stages.write_ply import cloud_rows, write_ply
+from spinpipe.pipeline.scenes.artificial_cars import SALOON, car_mesh
+from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
 
 CONFIG = """\
 [ingest]

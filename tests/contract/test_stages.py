@@ -16,7 +16,7 @@ from pydantic.fields import FieldInfo
 
 from spinpipe.pipeline.config import SECTIONS, RunConfig, load_config
 from spinpipe.pipeline.context import RunContext, RunReader
-from spinpipe.pipeline.draw import DRAW
+from spinpipe.pipeline.drawing.draw import DRAW
 from spinpipe.pipeline.engine import LocalEngine
 from spinpipe.pipeline.mcap_file import StageFileWriter
 from spinpipe.pipeline.run_folder import RunFolder
@@ -40,7 +40,7 @@ from spinpipe.schemas.records import (
 )
 from spinpipe.schemas.topics import Topic
 from spinpipe.stages import STAGES
-from spinpipe.stages.ingest import ModelConfig
+from spinpipe.stages.ingest.ingest import ModelConfig
 from spinpipe.stages.stage import Section, Stage, StageError
 
 if TYPE_CHECKING:

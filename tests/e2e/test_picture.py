@@ -10,9 +10,9 @@ import pytest
 from PIL import Image
 from tests.conftest import Cli, YardRun
 
-from spinpipe.pipeline.palette import ACCEPTED
-from spinpipe.pipeline.recording import find_viewer
-from spinpipe.pipeline.render import render
+from spinpipe.pipeline.drawing.palette import ACCEPTED
+from spinpipe.pipeline.drawing.recording import find_viewer
+from spinpipe.pipeline.drawing.render import render
 
 DRIVERS = [Path("/usr/share/vulkan/icd.d"), Path("/etc/vulkan/icd.d")]
 

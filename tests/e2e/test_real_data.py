@@ -12,7 +12,7 @@ import pytest
 from spinpipe.pipeline.context import RunReader
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.schemas import CAMERAS, PLANE, SCENE, TILES, UPRIGHT
-from spinpipe.stages.frames import transform, world_from_scene
+from spinpipe.stages.geometry.frames import transform, world_from_scene
 
 if TYPE_CHECKING:
     from tests.conftest import Cli, Outcome

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from spinpipe.pipeline import experiments, paper
-from spinpipe.stages.artificial import make_scene
-from spinpipe.stages.scene_source import open_scene
+from spinpipe.pipeline.evaluation import experiments, paper
+from spinpipe.pipeline.scenes.artificial import make_scene
+from spinpipe.stages.ingest.scene_source import open_scene
 
 if TYPE_CHECKING:
     from tests.conftest import Cli, Yard, YardRun

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from spinpipe.pipeline.context import RunReader
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.schemas import HITS
-from spinpipe.stages.frames import transform
-from spinpipe.stages.shapes import box, merged, placed, sample_surface
+from spinpipe.stages.geometry.frames import transform
+from spinpipe.stages.geometry.shapes import box, merged, placed, sample_surface
 
 if TYPE_CHECKING:
     from tests.conftest import Cli, Yard, YardRun

@@ -8,9 +8,12 @@ from pathlib import Path
 import pytest
 from numba.core.dispatcher import Dispatcher
 
-from spinpipe.stages import compiled, hypothesis_kernels, spin_scan
+from spinpipe.stages import compiled
+from spinpipe.stages.scan import spin_scan
+from spinpipe.stages.verify.judge import kernels as judge_kernels
 
 FOLDER = Path(compiled.__file__).parent
+CACHED = {"scan": spin_scan, "verify": judge_kernels}
 
 
 def _named(function):
@@ -21,50 +24,56 @@ def _named(function):
     return [named[name] for name in (*code.co_names, *code.co_freevars) if name in named]
 
 
-def _modules(kernel, seen):
-    """Stems of the files of a kernel, of the kernels that it calls and of the types it makes."""
+def _files(kernel, seen):
+    """Files of a kernel, of the kernels that it calls and of the types it makes."""
     for item in [kernel, *_named(kernel.py_func)]:
         if isinstance(item, Dispatcher) and item not in seen:
-            seen[item] = Path(item.py_func.__code__.co_filename).stem
-            _modules(item, seen)
+            seen[item] = Path(item.py_func.__code__.co_filename)
+            _files(item, seen)
         elif inspect.isclass(item):
-            seen[item] = item.__module__.rpartition(".")[2]
+            seen[item] = Path(inspect.getfile(item))
     return set(seen.values())
 
 
-@pytest.mark.parametrize("module", [spin_scan, hypothesis_kernels], ids=lambda m: m.__name__)
-def test_cached_kernels_are_keyed_by_all_their_sources(module):
+@pytest.mark.parametrize("folder", CACHED)
+def test_cached_kernels_are_keyed_by_all_their_sources(folder):
     cached = [
         item
-        for item in vars(module).values()
+        for item in vars(CACHED[folder]).values()
         if isinstance(item, Dispatcher) and item.py_func.__closure__
     ]
     assert len(cached) >= 2
     for kernel in cached:
         enclosed = [cell.cell_contents for cell in kernel.py_func.__closure__]
-        assert compiled.sources(*module.SOURCES) in enclosed
-        assert _modules(kernel, {}) <= {*module.SOURCES, "compiled"}
+        assert compiled.sources(folder) in enclosed
+        for file in _files(kernel, {}):
+            assert file == Path(compiled.__file__) or file.is_relative_to(FOLDER / folder)
+            assert "stages.compiled import" in file.read_text() or file.stem == "compiled"
 
 
-def test_a_change_to_any_source_changes_the_key(tmp_path, monkeypatch):
-    for name in ("a", "b", "compiled"):
-        (tmp_path / f"{name}.py").write_text(name)
+def test_a_change_to_any_kernel_changes_the_key_and_other_changes_do_not(tmp_path, monkeypatch):
     monkeypatch.setattr(compiled, "__file__", str(tmp_path / "compiled.py"))
-    keys = {compiled.sources("a", "b")}
-    for name in ("a", "b", "compiled"):
-        (tmp_path / f"{name}.py").write_text(f"{name} changed")
-        keys.add(compiled.sources("a", "b"))
-    assert len(keys) == 4
+    kernel = "from spinpipe.stages.compiled import inner\n"
+    texts = {"compiled": "", "scan/a": kernel, "scan/deep/b": kernel, "scan/plain": "x = 1\n"}
+    for name, text in texts.items():
+        (tmp_path / f"{name}.py").parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / f"{name}.py").write_text(text)
+    keys = {compiled.sources("scan")}
+    for name, text in texts.items():
+        (tmp_path / f"{name}.py").write_text(f"{text}# changed")
+        keys.add(compiled.sources("scan"))
+    assert len(keys) == len(texts)
 
 
-@pytest.mark.parametrize("module", [spin_scan, hypothesis_kernels], ids=lambda m: m.__name__)
-def test_constants_of_kernels_come_from_their_sources(module):
-    """What a kernel takes from elsewhere in spinpipe would change unseen."""
-    for name in module.SOURCES:
-        text = (FOLDER / f"{name}.py").read_text()
-        used = {
-            line.split()[1].rpartition(".")[2]
-            for line in text.splitlines()
-            if line.startswith("from spinpipe.")
-        }
-        assert used <= {*module.SOURCES, "compiled", "model_field"}
+@pytest.mark.parametrize("folder", CACHED)
+def test_constants_of_kernels_come_from_their_sources(folder):
+    """What a kernel takes from a file without kernels would change unseen."""
+    for file in (FOLDER / folder).rglob("*.py"):
+        text = file.read_text()
+        if "stages.compiled import" not in text:
+            continue
+        for line in text.splitlines():
+            if line.startswith("from spinpipe.stages."):
+                named = FOLDER.joinpath(*line.split()[1].split(".")[2:]).with_suffix(".py")
+                known = "stages.compiled import" in named.read_text() or named.stem == "compiled"
+                assert known or named.parts[-2:] == ("model", "field.py"), f"{file}: {line}"

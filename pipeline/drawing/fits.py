@@ -1,0 +1,184 @@
+"""Draw how the model was registered to each candidate, step by step.
+
+The timeline ``iteration`` counts the steps of all candidates one after the other: the poses of
+the best start after each iteration, then the pose that was reported. Every row also carries the
+candidate's id, so the timeline ``candidate`` jumps to the last step of each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import rerun as rr
+
+from spinpipe.pipeline.drawing import palette
+from spinpipe.pipeline.drawing.drawing import CANDIDATE, WORLD, put
+from spinpipe.pipeline.drawing.model import (
+    hidden,
+    model_path,
+    model_shape,
+    model_tint,
+    model_tints,
+    pose_of,
+)
+from spinpipe.schemas.records import F32, F64, Detection, FitTrace, ObjectModel
+
+
+class Fit(NamedTuple):
+    """The steps of one candidate on the timeline ``iteration``."""
+
+    detection: Detection
+    trace: FitTrace | None
+    first_step: int
+    poses: F64
+    """(P, 4, 4) T_world_object at step ``first_step + i``."""
+
+
+def order_fits(detections: Sequence[Detection], traces: Sequence[FitTrace]) -> list[Fit]:
+    """Lay the steps of the candidates behind each other."""
+    trace_of = {trace.cluster: trace for trace in traces}
+    fits: list[Fit] = []
+    step = 0
+    for detection in detections:
+        trace = trace_of.get(detection.cluster)
+        poses = detection.T_world_object.reshape(1, 4, 4)
+        if trace is not None:
+            poses = np.concatenate([trace.poses.reshape(-1, 4, 4), poses])
+        fits.append(Fit(detection, trace, step, poses))
+        step += len(poses)
+    return fits
+
+
+def draw_shapes(rec: rr.RecordingStream, models: Sequence[ObjectModel]) -> None:
+    """Log the models once, out of sight; their poses and colours follow over time."""
+    rec.reset_time()
+    rec.set_time("stage", sequence=1)
+    for model in models:
+        path = model_path("verify/fit", model.name)
+        put(rec, path, model_shape(model), WORLD, static=True)
+        rec.log(path, hidden())
+
+
+def draw_pose(
+    rec: rr.RecordingStream, detection: Detection, models: Mapping[str, ObjectModel]
+) -> None:
+    """Show one detection's model at the current time, and move the candidate's frame there."""
+    half = np.deg2rad(detection.heading_deg) / 2
+    rec.log(
+        "frames/candidate",
+        rr.Transform3D(
+            translation=detection.position_world,
+            quaternion=rr.Quaternion(xyzw=(0.0, 0.0, float(np.sin(half)), float(np.cos(half)))),
+            child_frame=CANDIDATE,
+            parent_frame=WORLD,
+        ),
+    )
+    for name, model in models.items():
+        path = model_path("verify/fit", name)
+        if name != detection.model:
+            rec.log(path, hidden())
+            continue
+        colour = (*palette.FATES[detection.fate], 130)
+        rec.log(path, model_tint(model, colour), pose_of(detection.T_world_object))
+
+
+def draw_fits(
+    rec: rr.RecordingStream, fits: Sequence[Fit], models: Mapping[str, ObjectModel]
+) -> None:
+    """Log the steps of all candidates: models on the way to the reported poses.
+
+    As columns, one call an entity: a scene has thousands of candidates.
+    """
+    half = np.deg2rad([fit.detection.heading_deg for fit in fits]) / 2
+    zero = np.zeros_like(half)
+    rec.send_columns(
+        "frames/candidate",
+        indexes=first_steps(fits),
+        columns=rr.Transform3D.columns(
+            translation=[fit.detection.position_world for fit in fits],
+            quaternion=np.stack([zero, zero, np.sin(half), np.cos(half)], axis=1),
+            child_frame=[CANDIDATE] * len(fits),
+            parent_frame=[WORLD] * len(fits),
+        ),
+    )
+    for model in models.values():
+        _draw_model(rec, fits, model)
+
+
+def first_steps(fits: Sequence[Fit]) -> list[rr.TimeColumn]:
+    """One row a candidate, at its first step."""
+    return [
+        rr.TimeColumn("candidate", sequence=[fit.detection.cluster for fit in fits]),
+        rr.TimeColumn("iteration", sequence=[fit.first_step for fit in fits]),
+    ]
+
+
+def _draw_model(rec: rr.RecordingStream, fits: Sequence[Fit], model: ObjectModel) -> None:
+    """Log where one model is at every step: nowhere while another one is fitted."""
+    path = model_path("verify/fit", model.name)
+    own = [fit for fit in fits if fit.detection.model == model.name]
+    if own:
+        colours = np.array([(*palette.FATES[fit.detection.fate], 130) for fit in own], np.uint8)
+        rec.send_columns(path, indexes=first_steps(own), columns=model_tints(model, colours))
+    rows: list[tuple[int, int, F64]] = []
+    shown = True  # as the best candidate's, by the row of the stage
+    for fit in fits:
+        mine = fit.detection.model == model.name
+        if mine or shown:
+            poses = fit.poses if mine else np.zeros((1, 4, 4))
+            rows += [(fit.detection.cluster, fit.first_step + i, T) for i, T in enumerate(poses)]
+        shown = mine
+    candidates, steps, poses = zip(*rows, strict=True)
+    T = np.array(poses, np.float32)
+    rec.send_columns(
+        path,
+        indexes=[
+            rr.TimeColumn("candidate", sequence=candidates),
+            rr.TimeColumn("iteration", sequence=steps),
+        ],
+        columns=rr.InstancePoses3D.columns(translations=T[:, :3, 3], mat3x3=T[:, :3, :3]),
+    )
+
+
+def draw_rms(rec: rr.RecordingStream, fits: Sequence[Fit]) -> None:
+    """Log the residual of every start over the steps, broken off between candidates."""
+    traced = [fit for fit in fits if fit.trace is not None]
+    if not traced:
+        return
+    starts = max(fit.trace.rms_m.shape[0] for fit in traced if fit.trace is not None)
+    steps = np.concatenate([fit.first_step + np.arange(len(fit.poses)) for fit in traced])
+    curves = np.concatenate([_curves(fit, starts) for fit in traced])
+    best = np.fmin.reduce(curves, axis=1)
+    for path, rows, colours, width in (
+        ("verify/rms/starts", curves, palette.series(starts), 1.0),
+        ("verify/rms/best", best[:, None], np.array([palette.WHITE]), 2.5),
+    ):
+        rec.log(
+            path,
+            rr.SeriesLines(
+                colors=colours,
+                widths=np.full(rows.shape[1], width),
+                names=[f"start {i}" for i in range(starts)] if rows is curves else "best",
+            ),
+            # a method that tells only how each start ended has no lines to draw
+            rr.SeriesPoints(colors=colours, marker_sizes=np.full(rows.shape[1], 1.5 * width)),
+            static=True,
+        )
+        rec.send_columns(
+            path,
+            indexes=[rr.TimeColumn("iteration", sequence=steps)],
+            columns=rr.Scalars.columns(scalars=rows.reshape(-1)).partition(
+                np.full(len(rows), rows.shape[1])
+            ),
+        )
+
+
+def _curves(fit: Fit, starts: int) -> F32:
+    """(P, starts) residuals in metres at the fit's steps, NaN where there is none."""
+    curves = np.full((len(fit.poses), starts), np.nan, np.float32)
+    if fit.trace is not None:
+        rms = fit.trace.rms_m.T[: len(curves) - 1]
+        curves[: len(rms), : rms.shape[1]] = rms
+    return curves

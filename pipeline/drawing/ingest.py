@@ -1,0 +1,105 @@
+"""Draw what ingest read: the cloud, the cameras and the models of the objects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+
+from spinpipe.pipeline.drawing import palette
+from spinpipe.pipeline.drawing.drawing import CANDIDATE, LOCAL, WORLD, Reader, at_stage, note, put
+from spinpipe.pipeline.drawing.model import (
+    model_bounds,
+    model_path,
+    model_points,
+    model_shape,
+    places_in_row,
+)
+from spinpipe.pipeline.drawing.preview import preview
+from spinpipe.schemas import CAMERAS, CLOUD, MODELS, SCENE, TILES
+from spinpipe.schemas.records import F32, Cameras, ObjectModel, SceneFrame, TileIndex
+
+
+def draw_ingest(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
+    """Log the thinned cloud once for all times, still tilted, with cameras and models."""
+    scene, tiles = read(SCENE)[0], read(TILES)[0]
+    cameras, models = read(CAMERAS), read(MODELS)
+    at_stage(rec, "ingest")
+    for frame in (LOCAL, CANDIDATE):
+        rec.log(f"frames/{frame}", rr.Transform3D(child_frame=frame, parent_frame=WORLD))
+    _draw_cloud(read, rec, preview_points, scene, tiles)
+    _draw_models(rec, models)
+    for shown in cameras:
+        _draw_cameras(rec, shown, tiles)
+    note(rec, _summary(scene, tiles, models, sum(len(c.positions) for c in cameras)))
+
+
+def _draw_cloud(
+    read: Reader,
+    rec: rr.RecordingStream,
+    preview_points: int,
+    scene: SceneFrame,
+    tiles: TileIndex,
+) -> None:
+    # radii are left to the views: fixed on the screen from afar, in metres close by
+    clouds = ((tile.xyz, tile.rgb) for tile in read(CLOUD))
+    for piece in preview(clouds, tiles.counts.tolist(), preview_points):
+        colors = piece.rgb
+        if not scene.coloured:
+            colors = palette.shade(piece.xyz[:, 2], tiles.low[:, 2].min(), tiles.high[:, 2].max())
+        shape = rr.Points3D(piece.xyz, colors=colors)
+        put(rec, f"ingest/cloud/{piece.number:04d}", shape, LOCAL, static=True)
+
+
+def _draw_models(rec: rr.RecordingStream, models: Sequence[ObjectModel]) -> None:
+    """Models side by side along y; on each the points of the part that the sensor could see."""
+    for model, y in zip(models, places_in_row(models), strict=True):
+        path, (low, high) = model_path("ingest/models", model.name), model_bounds(model)
+        rec.log(path, rr.Transform3D(translation=[0, y, 0]), static=True)
+        rec.log(f"{path}/shape", model_shape(model, palette.PALE), static=True)
+        rec.log(f"{path}/points", model_points(model, palette.MARK), static=True)
+        label = rr.Points3D([[low[0], 0, high[2]]], labels=model.name, radii=-1.0)
+        rec.log(f"{path}/name", label, static=True)
+
+
+def _draw_cameras(rec: rr.RecordingStream, cameras: Cameras, tiles: TileIndex) -> None:
+    size = 0.02 * float(np.linalg.norm(tiles.high.max(axis=0) - tiles.low.min(axis=0)))
+    frusta = rr.LineStrips3D(_frusta(cameras, size), colors=palette.MARK, radii=-1.0)
+    put(rec, "ingest/cameras", frusta, LOCAL, static=True)
+
+
+def _frusta(cameras: Cameras, size: float) -> F32:
+    """One line (C, L, 3) a camera: a pyramid that opens to where it looks, up side marked."""
+    a, b = 0.75 * size, 0.5 * size
+    tip, mark = (0, 0, 0), (0, -1.6 * b, size)
+    p, q, r, s = (-a, -b, size), (a, -b, size), (a, b, size), (-a, b, size)
+    line = np.array([tip, p, q, tip, r, s, tip, s, p, mark, q, r], np.float64)
+    u, w = cameras.quaternions_xyzw[:, None, :3], cameras.quaternions_xyzw[:, None, 3:]
+    turned = line + 2 * np.cross(u, np.cross(u, line) + w * line)
+    return (turned + cameras.positions[:, None, :]).astype(np.float32)
+
+
+def _summary(
+    scene: SceneFrame, tiles: TileIndex, models: Sequence[ObjectModel], cameras: int
+) -> str:
+    extent = tiles.high.max(axis=0) - tiles.low.min(axis=0)
+    origin = ", ".join(f"{value:.3f}" for value in scene.origin)
+    lines = [
+        f"## Ingest: {scene.source}",
+        f"- {scene.points:,} points in {len(tiles.counts)} tiles"
+        + (f", {scene.dropped:,} without finite coordinates left out" if scene.dropped else ""),
+        "- extent " + " x ".join(f"{length:.1f}" for length in extent) + " m",
+        f"- origin ({origin}) in scene coordinates, {scene.scale:g} m a unit",
+        f"- {cameras} cameras" if cameras else "- no cameras",
+        "",
+        "| model | length m | width m | height m | points | visible from |",
+        "|---|---|---|---|---|---|",
+    ]
+    for model in models:
+        length, width, height = np.diff(model_bounds(model), axis=0)[0]
+        lines.append(
+            f"| {model.name} | {length:.2f} | {width:.2f} | {height:.2f} "
+            f"| {len(model.points):,} | {model.visible_from} |"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,119 @@
+"""The Rerun recording of a run: where it goes, and what is drawn into it.
+
+Rerun is imported when it is first needed: the command's help and a run without recording do not
+wait for it.
+"""
+
+from __future__ import annotations
+
+import socket
+import sys
+from pathlib import Path
+from shutil import which
+from typing import TYPE_CHECKING, Literal
+from urllib.parse import urlsplit
+
+from spinpipe.stages.stage import StageError
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+    from spinpipe.pipeline.drawing.drawing import Reader
+
+APPLICATION_ID = "spinpipe"
+DEFAULT_URL = "rerun+http://127.0.0.1:9876/proxy"
+
+RecordMode = Literal["save", "spawn", "connect", "off"]
+
+
+def open_recording(
+    run_name: str, mode: RecordMode, path: Path, url: str | None = None
+) -> rr.RecordingStream | None:
+    """Open the recording of a run.
+
+    Parameters
+    ----------
+    run_name : becomes the recording's id: drawing a run again replaces it in an open viewer
+    mode : ``save`` writes ``path``; ``spawn`` also starts a viewer on this machine and ``connect``
+        also sends to one that runs at ``url``; ``off`` records nothing
+    path : file to write; an existing one is overwritten
+    url : of a running viewer, by default the one of this machine
+
+    Returns
+    -------
+    The recording, to be closed by ``close_recording``, or ``None`` for ``off``.
+
+    Raises
+    ------
+    StageError
+        When the file cannot be created, or when no viewer answers at ``url``.
+    """
+    if mode == "off":
+        return None
+    if mode == "connect":
+        _check_viewer(url or DEFAULT_URL)
+    import rerun as rr
+
+    rec = rr.RecordingStream(APPLICATION_ID, recording_id=run_name)
+    # a run has no clock: only the timelines of ``drawing`` exist
+    rec.set_log_time_enabled(False)
+    rec.set_log_tick_enabled(False)
+    rec.send_recording_name(run_name)
+    sinks: list[rr.FileSink | rr.GrpcSink] = [rr.FileSink(str(path))]
+    if mode == "spawn":
+        rr.spawn(connect=False, executable_path=find_viewer(), recording=rec)
+    if mode in ("spawn", "connect"):
+        sinks.append(rr.GrpcSink(url or DEFAULT_URL))
+    try:
+        rec.set_sinks(*sinks)
+    except RuntimeError as error:
+        raise StageError(f"the recording cannot be written: {error}") from error
+    return rec
+
+
+def record_stage(stage: str, read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
+    """Draw the messages of a finished stage; the layout follows as soon as bounds are known."""
+    from spinpipe.pipeline.drawing.blueprint import build_blueprint
+    from spinpipe.pipeline.drawing.draw import DRAW
+
+    DRAW[stage](read, rec, preview_points)
+    if stage in ("ingest", "ground"):  # the second time for the upright cloud
+        rec.send_blueprint(build_blueprint(read, preview_points))
+
+
+def close_recording(rec: rr.RecordingStream) -> None:
+    """Write everything out and end the recording: a file is complete then.
+
+    Raises
+    ------
+    StageError
+        When the file could not be written. A viewer that was closed meanwhile is no error.
+    """
+    try:
+        rec.flush()
+    except RuntimeError as error:
+        if "gRPC" not in str(error):
+            raise StageError(
+                f"the recording cannot be written: {error}; is the disk full?"
+            ) from error
+    finally:
+        rec.disconnect()
+
+
+def _check_viewer(url: str) -> None:
+    """Fail at once: a recording to a viewer that is not there would only fail at its end."""
+    where = urlsplit(url)
+    try:
+        with socket.create_connection((where.hostname or "", where.port or 9876), timeout=3):
+            return
+    except (OSError, ValueError) as error:
+        raise StageError(
+            f"no Rerun viewer answers at {url} ({error}): start one with `rerun`, "
+            "or record with --rerun save"
+        ) from error
+
+
+def find_viewer() -> str | None:
+    """Find the viewer that came with the SDK: its environment may not be on the search path."""
+    beside = Path(sys.executable).with_name("rerun")
+    return which("rerun") or (str(beside) if beside.exists() else None)

@@ -1,0 +1,1 @@
+"""How well a run did: labels, planted instances, the paper."""

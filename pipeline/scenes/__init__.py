@@ -1,0 +1,1 @@
+"""Scenes that are made: artificial, planted, cut out."""

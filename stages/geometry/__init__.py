@@ -1,0 +1,1 @@
+"""What several stages share and that knows no stage."""

@@ -1,0 +1,65 @@
+"""Transforms between the scene as imported, the local frame and the upright world."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spinpipe.schemas.records import F32, F64, SceneFrame, Upright, Vector
+
+
+def local_from_scene(frame: SceneFrame) -> F64:
+    """(4, 4) similarity T_local_scene: ``local = (scene - origin) * scale``."""
+    T = np.diag([frame.scale, frame.scale, frame.scale, 1.0])
+    T[:3, 3] = -frame.scale * np.asarray(frame.origin)
+    return T
+
+
+def world_from_scene(frame: SceneFrame, upright: Upright) -> F64:
+    """(4, 4) similarity T_world_scene."""
+    return upright.T_world_local @ local_from_scene(frame)
+
+
+def inverse(T: F64) -> F64:
+    """(4, 4) T_b_a from T_a_b."""
+    return np.asarray(np.linalg.inv(T), np.float64)
+
+
+def transform(T: F64, points: NDArray[Any]) -> F64:
+    """Apply a (4, 4) transform to (N, 3) points, in float64.
+
+    Axis by axis: a matrix product of such shape is slower, and its last digits depend on the
+    machine's linear algebra library.
+    """
+    x, y, z = np.asarray(points, dtype=np.float64).T
+    moved = np.empty((len(x), 3))
+    for axis in range(3):
+        moved[:, axis] = T[axis, 0] * x + T[axis, 1] * y + T[axis, 2] * z + T[axis, 3]
+    return moved
+
+
+def to_world(upright: Upright, local: F32) -> F32:
+    """(N, 3) float32 points, local frame -> world: computed in float64, rounded once."""
+    return transform(upright.T_world_local, local).astype(np.float32)
+
+
+def yaw_matrix(heading_deg: float, translation: NDArray[Any]) -> F64:
+    """(4, 4) pose of an upright object: turned about z, then moved."""
+    c, s = np.cos(np.radians(heading_deg)), np.sin(np.radians(heading_deg))
+    T = np.eye(4)
+    T[:2, :2] = [[c, -s], [s, c]]
+    T[:3, 3] = translation
+    return T
+
+
+def heading_deg(T_world_object: F64) -> float:
+    """Direction of the object's +x axis about z, degrees in [0, 360)."""
+    return float(np.degrees(np.arctan2(T_world_object[1, 0], T_world_object[0, 0])) % 360.0)
+
+
+def vector(values: NDArray[Any]) -> Vector:
+    """Three numbers of an array as a tuple."""
+    x, y, z = (float(v) for v in values)
+    return x, y, z

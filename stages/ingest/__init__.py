@@ -1,0 +1,1 @@
+"""Stage 1: scene and models become tiles in metres."""

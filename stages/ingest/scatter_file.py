@@ -1,0 +1,60 @@
+"""A scratch file in which points are gathered by leaf without holding them in memory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spinpipe.stages.ingest.tiling import POINT
+
+
+class ScatterFile:
+    """Blocks of points, each sorted by leaf, one behind the other; a leaf is read from all blocks.
+
+    Parameters
+    ----------
+    path : Path
+        A file that is made anew.
+    leaves : int
+    """
+
+    def __init__(self, path: Path, leaves: int) -> None:
+        self._file = path.open("w+b")
+        self._leaves = leaves
+        self._starts: list[NDArray[np.int64]] = []
+        self._written = 0
+
+    def append(self, points: NDArray[np.void], leaf: NDArray[np.int64]) -> None:
+        """Add points (N,) of dtype ``POINT`` that belong to the leaves (N,)."""
+        small = leaf.astype(np.uint16) if self._leaves <= 1 << 16 else leaf
+        order = np.argsort(small, kind="stable")  # a radix sort for 16 bits
+        points[order].tofile(self._file)
+        counts = np.bincount(leaf, minlength=self._leaves)
+        self._starts.append(self._written + np.append(0, np.cumsum(counts)))
+        self._written += len(points)
+
+    def read(self, leaf: int) -> NDArray[np.void]:
+        """All points of a leaf, in the order of appending."""
+        extents = [(starts[leaf], starts[leaf + 1] - starts[leaf]) for starts in self._starts]
+        points = np.empty(sum(int(count) for _, count in extents), POINT)
+        filled = 0
+        for start, count in extents:
+            if count:
+                self._file.seek(int(start) * POINT.itemsize)
+                points[filled : filled + count] = np.fromfile(self._file, POINT, int(count))
+                filled += int(count)
+        return points
+
+    def __enter__(self) -> ScatterFile:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._file.close()

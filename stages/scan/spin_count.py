@@ -1,0 +1,249 @@
+"""One origin's spin image and its correlations, compiled.
+
+The points that an origin may see are a contiguous run (``spin_gather``). It is taken in two loops,
+first the bin numbers, which LLVM vectorises, then the counting. The expressions are those of the
+numpy twin ``spin_image``, in float32.
+"""
+# pyright: basic
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spinpipe.stages.compiled import inlined, inner
+from spinpipe.stages.scan.spin_gather import LANES, depth_window, fill
+
+FLAT_VARIANCE = 1e-12
+"""An image whose variance is below this part of its mean square counts as constant."""
+
+BUFFER = 1024
+"""Bin numbers held between binning and counting."""
+COPIES = 4
+"""Interleaved histograms: the same counter is rarely needed before its last store is done."""
+
+
+class Bins(NamedTuple):
+    """A ``SpinGrid`` as the kernels use it."""
+
+    radius_sq: np.float32
+    height: np.float32
+    scale: np.float32
+    rows: np.int32
+    cols: np.int32
+
+
+class Templates(NamedTuple):
+    """Grids and templates as arrays.
+
+    ``numbers`` (G, 3) float32: radius_sq, height and bins_per_m of each grid; ``sizes`` (G, 2)
+    int32: rows and cols; ``first`` (G + 1,) int64: first template of each grid; ``alike`` (T,):
+    whether a template has the grid and the weights of the one before; ``even`` (T,): whether it
+    weighs all bins alike; ``weights`` (T, widest k) float64, of sum 1; ``values`` (T, widest k)
+    float64: weights times unit values; ``parts`` (T, widest k) int32: the same in units of ``unit``
+    (T,) float64; ``least`` (T,) float32: least correlation of a hit.
+    """
+
+    numbers: NDArray[np.float32]
+    sizes: NDArray[np.int32]
+    first: NDArray[np.int64]
+    alike: NDArray[np.bool_]
+    even: NDArray[np.bool_]
+    weights: NDArray[np.float64]
+    values: NDArray[np.float64]
+    parts: NDArray[np.int32]
+    unit: NDArray[np.float64]
+    least: NDArray[np.float32]
+
+
+class Scratch(NamedTuple):
+    """Memory of one thread, used again for every origin.
+
+    ``lanes`` (BUFFER,) is 0 .. LANES - 1 over and over: read, not computed from a loop's counter,
+    whose 64 bits would halve the vectors. ``moments`` (2,): sum of the counts and of their squares.
+    """
+
+    numbers: NDArray[np.int32]
+    lanes: NDArray[np.int32]
+    counts: NDArray[np.uint32]
+    image: NDArray[np.uint32]
+    moments: NDArray[np.int64]
+    sums: NDArray[np.float64]
+
+
+def idle_lanes() -> NDArray[np.int32]:
+    """Make what spreads the points that do not count over idle counters, see ``Scratch``."""
+    return np.arange(BUFFER, dtype=np.int32) % np.int32(LANES)
+
+
+def make_scratch(sizes: NDArray[np.int32]) -> Scratch:
+    """Allocate one thread's memory for grids of these (rows, cols)."""
+    k = int(sizes.prod(axis=1).max())
+    return Scratch(
+        np.empty(BUFFER, np.int32),
+        idle_lanes(),
+        np.empty((COPIES, k + LANES), np.uint32),
+        np.empty(k, np.uint32),
+        np.empty(2, np.int64),
+        np.empty((2, k)),
+    )
+
+
+@inner
+def grid_bins(templates, g):
+    """Return grid ``g`` of the table as ``Bins``."""
+    numbers, sizes = templates.numbers, templates.sizes
+    return Bins(numbers[g, 0], numbers[g, 1], numbers[g, 2], sizes[g, 0], sizes[g, 1])
+
+
+@inner
+def _bin_points(x, y, z, ox, oy, oz, bins, lanes, numbers):
+    """Find each point's bin number, beyond the bins for those outside the image (vectorised)."""
+    radius_sq, height, scale, cols = bins.radius_sq, bins.height, bins.scale, bins.cols
+    outside = bins.rows * cols
+    for j in range(len(x)):
+        dx = x[j] - ox
+        dy = y[j] - oy
+        depth = oz - z[j]
+        a2 = dx * dx + dy * dy
+        number = np.int32(depth * scale) * cols + np.int32(np.sqrt(a2) * scale)
+        inside = (a2 < radius_sq) & (depth > np.float32(0)) & (depth < height)
+        numbers[j] = number if inside else outside + lanes[j]
+
+
+@inner
+def _count_numbers(numbers, counts):
+    """Add bin numbers to the interleaved histograms ``counts`` (COPIES, bins)."""
+    h0, h1, h2, h3 = counts[0], counts[1], counts[2], counts[3]
+    whole = len(numbers) // 4 * 4
+    for j in range(0, whole, 4):
+        h0[np.uint32(numbers[j])] += np.uint32(1)  # unsigned: no look for negative indices
+        h1[np.uint32(numbers[j + 1])] += np.uint32(1)
+        h2[np.uint32(numbers[j + 2])] += np.uint32(1)
+        h3[np.uint32(numbers[j + 3])] += np.uint32(1)
+    for j in range(whole, len(numbers)):
+        h0[np.uint32(numbers[j])] += np.uint32(1)
+
+
+@inlined
+def count_origin(near, ox, oy, oz, bins, scratch):
+    """Count one origin's spin image into ``scratch.image``; return the points visited.
+
+    Where there are none the image is left as it was.
+    """
+    begin, end = depth_window(near, oz, oz, bins.height)
+    if begin >= end:
+        return 0
+    k = np.int64(bins.rows) * bins.cols
+    image, counts = scratch.image, scratch.counts
+    for copy in range(COPIES):
+        fill(counts[copy, : k + LANES], 0)
+    for at in range(begin, end, BUFFER):
+        n = min(end - at, BUFFER)
+        whole = (n + LANES - 1) // LANES * LANES
+        _bin_points(
+            near.x[at : at + whole], near.y[at : at + whole], near.z[at : at + whole],
+            ox, oy, oz, bins, scratch.lanes, scratch.numbers[:whole],
+        )  # fmt: skip
+        _count_numbers(scratch.numbers[:n], counts)
+    h0, h1, h2, h3 = counts[0], counts[1], counts[2], counts[3]
+    total = square = np.int64(0)
+    for i in range(k):
+        image[i] = h0[i] + h1[i] + h2[i] + h3[i]
+        c = np.int64(np.int32(image[i]))
+        total += c
+        square += c * c
+    scratch.moments[0], scratch.moments[1] = total, square
+    return end - begin
+
+
+@inner
+def _pairwise_sum(terms, k):
+    """Sum of ``terms[:k]``, which it uses up, in an order that no machine's vectors change."""
+    while k > 1:
+        half = (k + 1) >> 1
+        for i in range(k - half):
+            terms[i] += terms[i + half]
+        k = half
+    return terms[0]
+
+
+@inner
+def _deviation(image, weights, terms, squares):
+    """Weighted standard deviation of counts; 0 if they are constant where they are weighted."""
+    k = len(weights)
+    for i in range(k):
+        c = np.float64(image[i])
+        wc = weights[i] * c
+        terms[i] = wc
+        squares[i] = wc * c
+    mean, square = _pairwise_sum(terms, k), _pairwise_sum(squares, k)
+    variance = square - mean * mean
+    return np.sqrt(variance) if variance > FLAT_VARIANCE * square else 0.0
+
+
+@inner
+def _even_deviation(moments, k):
+    """The same if all bins weigh alike."""
+    mean, square = np.float64(moments[0]) / k, np.float64(moments[1]) / k
+    variance = square - mean * mean
+    return np.sqrt(variance) if variance > FLAT_VARIANCE * square else 0.0
+
+
+@inner
+def _product(image, parts):
+    """Sum of counts times parts: integers, so the same in any order (vectorised)."""
+    total = np.int64(0)
+    for i in range(len(parts)):
+        total += np.int64(np.int32(image[i])) * np.int64(parts[i])
+    return np.float64(total)
+
+
+@inner
+def correlate_counted(templates, g, wanted, scratch, out):
+    """Correlate the image just counted with the wanted templates of grid ``g`` into ``out`` (T,).
+
+    See ``spin_image.correlation``; templates of equal weights share the image's deviation.
+    """
+    k = np.int64(templates.sizes[g, 0]) * templates.sizes[g, 1]
+    deviation = -1.0
+    for t in range(templates.first[g], templates.first[g + 1]):
+        if not templates.alike[t]:
+            deviation = -1.0
+        if wanted[t]:
+            if deviation < 0:
+                if templates.even[t]:
+                    deviation = _even_deviation(scratch.moments, k)
+                else:
+                    weights = templates.weights[t, :k]
+                    deviation = _deviation(scratch.image, weights, scratch.sums[0], scratch.sums[1])
+            out[t] = np.float32(0)
+            if deviation > 0:
+                product = templates.unit[t] * _product(scratch.image, templates.parts[t, :k])
+                out[t] = np.float32(min(max(product / deviation, -1.0), 1.0))
+
+
+@inner
+def correlate_origin(near, ox, oy, oz, templates, wanted, scratch, out):
+    """Correlate one origin with the wanted templates into ``out`` (T,); return the visits."""
+    visits = 0
+    for g in range(len(templates.sizes)):
+        if wants_grid(templates, wanted, g):
+            seen = count_origin(near, ox, oy, oz, grid_bins(templates, g), scratch)
+            visits += seen
+            if seen > 0:
+                correlate_counted(templates, g, wanted, scratch, out)
+            else:
+                fill(out[templates.first[g] : templates.first[g + 1]], np.float32(0))
+    return visits
+
+
+@inner
+def wants_grid(templates, wanted, g):
+    """Tell whether a wanted template has grid ``g``."""
+    for t in range(templates.first[g], templates.first[g + 1]):  # noqa: SIM110 (no generators here)
+        if wanted[t]:
+            return True
+    return False

@@ -1,0 +1,1 @@
+"""Stage 5: what stands at each candidate, and how sure that is."""

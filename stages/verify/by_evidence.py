@@ -1,0 +1,173 @@
+"""Verification by evidence: what the scene shows for and against every candidate and model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+
+from spinpipe.schemas.records import (
+    F64,
+    I64,
+    Cluster,
+    Detection,
+    FitTrace,
+    ObjectModel,
+    Part,
+    Sampling,
+)
+from spinpipe.stages.geometry.frames import heading_deg, transform, vector
+from spinpipe.stages.geometry.model_surface import model_surface
+from spinpipe.stages.geometry.world_cloud import WorldCloud
+from spinpipe.stages.threads import map_threads
+from spinpipe.stages.verify.candidates import Candidates
+from spinpipe.stages.verify.decide.decision import decide
+from spinpipe.stages.verify.decide.verdict import Rules, T_world_object, Verdict
+from spinpipe.stages.verify.evidence.gather import EVIDENCE
+from spinpipe.stages.verify.judge.examiner import Examination, Examiner, blocks
+from spinpipe.stages.verify.judge.hypotheses import Course
+from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
+from spinpipe.stages.verify.model.field import ModelField, build_model_field
+from spinpipe.stages.verify.model.known_object import KnownObject
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+BLOCK_REACHES = 2.0
+"""Side of a block of candidates, in reaches: it follows from the models alone, because candidates
+of one block are thinned together."""
+
+
+@dataclass(frozen=True)
+class _BlockTask:
+    """What a worker needs to examine any block; can be pickled."""
+
+    examiner: Examiner
+    cloud: WorldCloud
+    places: F64
+    threads: int
+
+
+def verify_by_evidence(
+    candidates: Candidates,
+    sampling: Sampling,
+    rules: Rules,
+    rng: np.random.Generator,
+    *,
+    threads: int,
+    map_blocks: Callable[[Callable[[I64], Examination], Iterable[I64]], Iterator[Examination]],
+    advance: Callable[[int], None],
+) -> Iterator[tuple[Detection, FitTrace | None]]:
+    """Try every candidate as every model and decide about all of them together; yields in order.
+
+    Parameters
+    ----------
+    candidates : what to verify; the model of a cluster is only what proposed it.
+    sampling : of the cloud.
+    rules : when to accept.
+    rng : draws the surface of mesh models.
+    threads : of the kernels; never changes a result.
+    map_blocks : maps a function over blocks of candidates, in order.
+    advance : told how many more candidates are examined.
+    """
+    if not candidates.clusters:
+        return
+    surfaces = [model_surface(model, rng) for model in candidates.models]
+    fields = map_threads(_field, list(zip(candidates.models, surfaces, strict=True)), threads)
+    objects = [
+        KnownObject(field, model.stretch, "above" if model.visible_from == "above" else "all")
+        for field, model in zip(fields, candidates.models, strict=True)
+    ]
+    clusters = list(candidates.clusters)
+    places = np.array([cluster.position for cluster in clusters], np.float64)
+    examiner = Examiner(objects, sampling)
+    task = _BlockTask(examiner, candidates.cloud, places, threads)
+    found: list[Hypotheses] = []
+    courses: dict[int, Course] = {}
+    rows_of_blocks = list(blocks(places, BLOCK_REACHES * examiner.reach_m))
+    for rows, examined in zip(
+        rows_of_blocks, map_blocks(partial(_examine, task), rows_of_blocks), strict=True
+    ):
+        found.append(replace(examined.table, candidate=rows[examined.table.candidate]))
+        courses |= {int(rows[k]): course for k, course in examined.courses.items()}
+        advance(len(rows))
+    table = Hypotheses.joined(found)
+    rows_of = table.rows_of_candidates(len(places))
+    for verdict in decide(examiner, table, places, rules):
+        cluster = clusters[verdict.candidate]
+        rivals = table.rows(rows_of[verdict.candidate])
+        course = courses.get(verdict.candidate)
+        yield _detection(candidates, cluster, verdict), _trace(cluster, verdict, rivals, course)
+
+
+def _field(model: tuple[ObjectModel, tuple[F64, F64]]) -> ModelField:
+    known, (points, normals) = model
+    return build_model_field(known.name, points, normals)
+
+
+def _examine(task: _BlockTask, rows: I64) -> Examination:
+    """Hypotheses about the candidates of one block."""
+    places = task.places[rows]
+    reach = np.array([task.examiner.reach_m, task.examiner.reach_m, np.inf])
+    points = task.cloud.inside(places.min(axis=0) - reach, places.max(axis=0) + reach)
+    return task.examiner.examine(points, places, task.threads)
+
+
+def _detection(candidates: Candidates, cluster: Cluster, verdict: Verdict) -> Detection:
+    model = candidates.models[verdict.model]
+    pose = T_world_object(verdict.pose)
+    T_scene_object = candidates.T_scene_world @ pose
+    evidence = verdict.evidence
+    claimed = evidence.get("claimed", 0.0)
+    other = candidates.models[verdict.alternative].name if verdict.alternative >= 0 else ""
+    return Detection(
+        id=cluster.id,
+        cluster=cluster.id,
+        model=model.name,
+        fate=verdict.fate,
+        reason=verdict.reason,
+        T_world_object=pose,
+        T_scene_model=T_scene_object @ model.T_object_model,
+        position_world=vector(pose[:3, 3]),
+        position_scene=vector(transform(candidates.T_scene_world, pose[None, :3, 3])[0]),
+        heading_deg=heading_deg(pose),
+        heading_margin=verdict.heading_margin,
+        correlation=cluster.correlation,
+        rms_m=evidence.get("rms_m", float("inf")),
+        inliers=int(evidence.get("explained", 0.0)),
+        runner_up_heading_deg=float(np.degrees(verdict.runner_up[3]) % 360.0),
+        runner_up_rms_m=verdict.runner_up_rms_m,
+        coverage_model=min(evidence.get("supported", 0.0), 1.0),
+        coverage_scene=evidence.get("explained", 0.0) / claimed if claimed > 0 else 0.0,
+        observed=min(verdict.observed, 1.0),
+        score=verdict.score,
+        parts=tuple(Part(name, value) for name, value in verdict.parts.items()),
+        size_m=vector(verdict.size_m),
+        alternative=other,
+        alternative_margin=verdict.alternative_margin,
+    )
+
+
+def _trace(
+    cluster: Cluster, verdict: Verdict, rivals: Hypotheses, course: Course | None
+) -> FitTrace | None:
+    """The course of the chosen start, and where every other one with the same model ended."""
+    rivals = rivals.rows(rivals.model == verdict.model)
+    if len(rivals.model) == 0:
+        return None
+    ends = rivals.evidence[:, EVIDENCE.index("rms_m")]
+    poses = verdict.pose[None] if course is None else course.poses
+    rms_m = np.full((len(ends), len(poses)), np.nan, np.float32)
+    rms_m[:, -1] = ends
+    if course is not None:
+        rms_m[np.argmax(rivals.score)] = course.rms_m
+    rms_m[np.isinf(rms_m)] = np.nan
+    return FitTrace(
+        cluster=cluster.id,
+        start_heading_deg=np.degrees(rivals.start[:, 3]) % 360.0,
+        rms_m=rms_m,
+        poses=np.array([T_world_object(pose) for pose in poses]),
+    )

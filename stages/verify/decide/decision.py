@@ -1,0 +1,151 @@
+"""The decision: competition of candidates, headings and models, and the reason for every fate."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spinpipe.stages.verify.decide.continuation import SIDES, explained_sides, first_continuing
+from spinpipe.stages.verify.decide.neighbours import explain_neighbours, standing
+from spinpipe.stages.verify.decide.verdict import Fate, Rules, Verdict
+from spinpipe.stages.verify.evidence.gather import EVIDENCE
+from spinpipe.stages.verify.judge.examiner import Examiner
+from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
+from spinpipe.stages.verify.judge.scoring import PARTS
+from spinpipe.stages.verify.model.known_object import KnownObject
+
+F64 = NDArray[np.float64]
+
+
+def decide(examiner: Examiner, table: Hypotheses, places: F64, rules: Rules) -> list[Verdict]:
+    """The verdict on every candidate, given all hypotheses."""
+    table = explain_neighbours(examiner, table, rules.min_score)
+    best = table.rows(table.best_rows())
+    near = standing(examiner, best, rules.min_score)
+    continuing = first_continuing(
+        best.evidence[:, [EVIDENCE.index(f"{side}_level") for side in SIDES]],
+        explained_sides(best.pose[:, :4], examiner.sizes(best), near.poses, near.sizes),
+    )
+    position = {int(c): k for k, c in enumerate(best.candidate)}
+    verdicts: list[Verdict] = []
+    for candidate, rows in enumerate(table.rows_of_candidates(len(places))):
+        k = position.get(candidate)
+        if k is None:
+            verdicts.append(_nothing_there(candidate, places[candidate]))
+        else:
+            rivals = table.rows(rows)
+            verdicts.append(
+                _judge(examiner, best, k, rivals, int(near.displaced_by[k]), continuing[k], rules)
+            )
+    return verdicts
+
+
+def _nothing_there(candidate: int, place: F64) -> Verdict:
+    pose = np.array([place[0], place[1], place[2], 0.0, 1.0, 1.0, 1.0])
+    return Verdict(
+        candidate, 0, pose, np.zeros(3), {}, {}, 0.0, "rejected",
+        "no surface above the ground that any model could explain", 0.0, pose, math.inf, -1, 0.0,
+    )  # fmt: skip
+
+
+def _judge(
+    examiner: Examiner,
+    best: Hypotheses,
+    k: int,
+    rivals: Hypotheses,
+    displaced_by: int,
+    continuing: str,
+    rules: Rules,
+) -> Verdict:
+    """The verdict on candidate ``best.candidate[k]``, given all hypotheses about it."""
+    known = examiner.objects[int(best.model[k])]
+    value = float(best.score[k])
+    evidence: dict[str, float] = dict(zip(EVIDENCE, best.evidence[k].tolist(), strict=True))
+    parts: dict[str, float] = dict(zip(PARTS, best.parts[k].tolist(), strict=True))
+    margin, runner_up, runner_up_rms_m = _heading_margin(examiner, best, k, rivals)
+    alternative, lead = _alternative(best, k, rivals)
+    weakest = examiner.weakest_part(best.parts[k], int(best.model[k]))
+    fate, reason = _fate(known, evidence, parts, weakest, value, rules)
+    if displaced_by >= 0 and value >= rules.min_score:
+        fate = "rejected"
+        reason = (
+            f"overlaps candidate {best.candidate[displaced_by]}, which explains the place better: "
+            f"score {best.score[displaced_by]:.2f} against {value:.2f}"
+        )
+    elif fate == "accepted" and continuing and known.rigid:
+        fate = "ambiguous"
+        reason = f"type: what stands there goes on beyond the {continuing} of the model"
+    elif fate == "accepted" and margin < rules.min_margin:
+        fate = "ambiguous"
+        reason = f"heading: another one scores only {margin:.3f} less"
+    elif fate == "accepted" and alternative >= 0 and lead < rules.min_margin and known.rigid:
+        fate = "ambiguous"
+        reason = f"type: {examiner.objects[alternative].field.name} scores only {lead:.3f} less"
+    return Verdict(
+        candidate=int(best.candidate[k]),
+        model=int(best.model[k]),
+        pose=best.pose[k],
+        size_m=examiner.sizes(best.rows(np.array([k])))[0],
+        parts=parts,
+        evidence=evidence,
+        score=value,
+        fate=fate,
+        reason=reason,
+        heading_margin=margin,
+        runner_up=runner_up,
+        runner_up_rms_m=runner_up_rms_m,
+        alternative=alternative,
+        alternative_margin=lead,
+    )
+
+
+def _fate(
+    known: KnownObject,
+    evidence: dict[str, float],
+    parts: dict[str, float],
+    weakest: str,
+    value: float,
+    rules: Rules,
+) -> tuple[Fate, str]:
+    """Fate and reason of a hypothesis in itself, whatever its rivals are."""
+    observed = evidence["supported"] + evidence["contradicted"]
+    if value < rules.min_score:
+        return "rejected", (
+            f"score {value:.2f} below {rules.min_score:g}; weakest part: "
+            f"{weakest} {parts[weakest]:.2f}"
+        )
+    if observed < rules.min_observed:
+        return "rejected", f"only {observed:.0%} of its visible surface was observed"
+    if known.visible_from == "above" and evidence["sheltered"] > rules.max_sheltered:
+        return "ambiguous", (
+            f"{evidence['sheltered']:.0%} of it lies below something else, "
+            "but the model is declared visible from above"
+        )
+    return "accepted", f"score {value:.2f}, {evidence['supported']:.0%} of its surface seen"
+
+
+def _heading_margin(
+    examiner: Examiner, best: Hypotheses, k: int, rivals: Hypotheses
+) -> tuple[float, F64, float]:
+    """How much better the heading is than the best other one of the same model."""
+    known, sampling = examiner.objects[int(best.model[k])], examiner.sampling
+    turn = np.angle(np.exp(1j * (rivals.pose[:, 3] - best.pose[k, 3])))
+    shift = np.hypot(*(rivals.pose[:, :2] - best.pose[k, :2]).T)
+    other = (rivals.model == best.model[k]) & (np.abs(turn) > math.pi / 6)
+    other &= shift < known.field.narrow_m
+    for row in np.flatnonzero(other)[np.argsort(-rivals.score[other], kind="stable")]:
+        if not known.field.looks_same(float(turn[row]), sampling.noise_m, sampling.spacing_m):
+            lead = float(best.score[k] - rivals.score[row])
+            return lead, rivals.pose[row], float(rivals.evidence[row, EVIDENCE.index("rms_m")])
+    return float(best.score[k]), best.pose[k], math.inf
+
+
+def _alternative(best: Hypotheses, k: int, rivals: Hypotheses) -> tuple[int, float]:
+    """The next best model, and by how much the best one leads."""
+    others = np.flatnonzero(rivals.model != best.model[k])
+    if len(others) == 0:
+        return -1, float(best.score[k])
+    row = others[np.argmax(rivals.score[others])]
+    return int(rivals.model[row]), float(best.score[k] - rivals.score[row])

@@ -1,0 +1,72 @@
+"""Instances that stand close together, decided about together.
+
+Where a neighbour stands the scene does not drop, which looks as if the body went on. What is known
+to be an instance explains that, and by that others may become instances.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spinpipe.stages.verify.decide.continuation import SIDES, explained_sides
+from spinpipe.stages.verify.evidence.gather import EVIDENCE
+from spinpipe.stages.verify.evidence.outline import TOUCHED
+from spinpipe.stages.verify.judge.examiner import WORTH_A_SECOND_LOOK, Examiner
+from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
+from spinpipe.stages.verify.judge.resolve import resolve
+from spinpipe.stages.verify.judge.scoring import PARTS
+
+F64 = NDArray[np.float64]
+
+ROUNDS = 4
+"""Rows are explained from their ends; few are longer than twice as many."""
+
+
+class Standing(NamedTuple):
+    """Instances as far as is known: poses (N, 4), extents (N, 3), and which fits gave way."""
+
+    poses: F64
+    sizes: F64
+    displaced_by: NDArray[np.int64]
+    """(S,) of all fits, see ``resolve``."""
+
+
+def standing(examiner: Examiner, best: Hypotheses, min_score: float) -> Standing:
+    """Which of the best hypotheses of all candidates are instances as far as is known."""
+    poses, sizes = best.pose[:, :4], examiner.sizes(best)
+    displaced_by = resolve(poses, sizes, best.score)
+    stays = (displaced_by < 0) & (best.score >= min_score)
+    return Standing(poses[stays], sizes[stays], displaced_by)
+
+
+def explain_neighbours(examiner: Examiner, table: Hypotheses, min_score: float) -> Hypotheses:
+    """The table with the outlines that neighbours explain counted as seen, and scored again."""
+    drops = table.evidence[:, [EVIDENCE.index(side) for side in SIDES]]
+    # members of a family would fit side by side into any hedge or roof, and explain each other
+    known = np.array([o.rigid for o in examiner.objects])[table.model]
+    worth = known & (table.score >= WORTH_A_SECOND_LOOK)
+    rows = np.flatnonzero(worth & (drops < TOUCHED).any(axis=1))
+    if len(rows) == 0:
+        return table
+    touched = table.rows(rows)
+    drops, sizes = drops[rows], examiner.sizes(touched)
+    outline = sizes[:, [1, 0, 1, 0]]
+    outline = outline / outline.sum(axis=1, keepdims=True)
+    seen, before = table, np.zeros(0)
+    for _ in range(ROUNDS):
+        near = standing(examiner, seen.rows(seen.best_rows()), min_score)
+        explained = explained_sides(touched.pose[:, :4], sizes, near.poses, near.sizes)
+        hidden = (outline * (1.0 - drops) * (explained & (drops < TOUCHED))).sum(axis=1)
+        drop = np.clip(touched.evidence[:, EVIDENCE.index("drop")] + hidden, 0.0, 1.0)
+        parts, value = table.parts.copy(), table.score.copy()
+        parts[rows, PARTS.index("outline")] = np.cbrt(drop)
+        value[rows] = examiner.score(parts[rows], touched.model)
+        seen = replace(table, parts=parts, score=value)
+        if np.array_equal(value, before):
+            break
+        before = value
+    return seen

@@ -1,0 +1,125 @@
+"""Evidence of the place just outside the model's outline; compiled, see ``evidence``."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from spinpipe.stages.compiled import inner
+from spinpipe.stages.verify.evidence.scene import side_of
+from spinpipe.stages.verify.scene.cell_grid import points_of, window
+
+COLUMN_CELLS = 0.7
+"""Radius of the column looked at, in cells."""
+TOUCHED = 0.5
+"""Something else touches a side, or the body goes on, where the scene drops by a smaller share."""
+LEVEL = 0.1
+"""The scene goes on beyond the outline where its height differs by less than this share, or the
+gate."""
+TALL = 0.25
+"""What ends lower, as a share of the model's height, is level with the ground too easily."""
+SIDES = 4
+"""Front, left, back and right: +x, +y, -x and -y of the object."""
+
+
+class Outline(NamedTuple):
+    """How far the scene drops outside the outline, 0..1, and on how much of it it goes on.
+
+    ``ring`` is how much of the outline was observed; ``front`` to ``right`` are the drops at the
+    sides, ``front_level`` to ``right_level`` the shares of them where it goes on.
+    """
+
+    drop: float
+    ring: float
+    front: float
+    left: float
+    back: float
+    right: float
+    front_level: float
+    left_level: float
+    back_level: float
+    right_level: float
+
+
+@inner
+def outline_evidence(grid, field, pose, gate):
+    """How far the scene drops just outside the model's outline.
+
+    A body ends where the model ends; a wall, a hedge or a roof that only contains the model's
+    shape goes on.
+
+    Parameters
+    ----------
+    grid : CellGrid, ground included.
+    field : FieldArrays.
+    pose : (7,) float64.
+    gate : how far outside to look, apart from the radius of the column, metres.
+
+    Returns
+    -------
+    Outline
+        Drops are means over the observed outline, all of it and of each side, of (model height
+        inside - scene height outside) / model height; a side hardly observed counts as 1.
+        The scene goes on where a surface outside is level with the one inside.
+    """
+    points, outline, normals = grid.points, field.outline, field.outline_normals
+    column_m = COLUMN_CELLS * grid.cell_m
+    beyond_m = gate + column_m
+    c, s = math.cos(pose[3]), math.sin(pose[3])
+    radius2 = column_m * column_m
+    drops = np.zeros(SIDES)
+    levels = np.zeros(SIDES)
+    observed = np.zeros(SIDES)
+    whole = np.zeros(SIDES)
+    heights = np.empty(64)
+    tall = field.outline_height > TALL * field.size[2]
+    for k in range(outline.shape[0]):
+        mx = outline[k, 0] * pose[4] + normals[k, 0] * beyond_m
+        my = outline[k, 1] * pose[5] + normals[k, 1] * beyond_m
+        x = pose[0] + c * mx - s * my
+        y = pose[1] + s * mx + c * my
+        side = side_of(normals[k, 0], normals[k, 1], abs(normals[k, 0]), abs(normals[k, 1]))
+        whole[side] += 1.0
+        inner_height = field.outline_height[k] * pose[6]
+        count = 0
+        overhead = np.inf
+        cells = window(grid, x, y, column_m)
+        for i in range(cells.first, cells.past):
+            for n in points_of(grid, cells, i):
+                dx, dy = points[n, 0] - x, points[n, 1] - y
+                if dx * dx + dy * dy > radius2:
+                    continue
+                z = points[n, 2] - pose[2]
+                if z > inner_height + beyond_m:
+                    overhead = min(overhead, z)
+                elif count < heights.shape[0]:
+                    heights[count] = z
+                    count += 1
+        if count > 0:
+            # the upper quartile: where the scene shows ground below things, things still go on
+            ascending = np.sort(heights[:count])
+            level, top = ascending[(3 * count) // 4], ascending[(9 * count) // 10]
+            drop = min(max((inner_height - level) / inner_height, 0.0), 1.0)
+            drops[side] += drop
+            level_with = abs(inner_height - top) <= max(gate, LEVEL * inner_height)
+            if level_with and tall[k] and drop < TOUCHED and overhead > 2 * inner_height:
+                levels[side] += 1.0
+        elif overhead > 2 * inner_height:
+            continue  # nothing seen, or a crown or a roof that hides what is below it
+        observed[side] += 1.0
+    seen = observed.sum()
+    if seen == 0.0:
+        return Outline(0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0)
+    share = np.ones(SIDES)
+    level_share = np.zeros(SIDES)
+    for side in range(SIDES):
+        if observed[side] >= max(0.5 * whole[side], 1.0):
+            share[side] = drops[side] / observed[side]
+            level_share[side] = levels[side] / observed[side]
+    return Outline(
+        drops.sum() / seen, seen / outline.shape[0],
+        share[0], share[1], share[2], share[3],
+        level_share[0], level_share[1], level_share[2], level_share[3],
+    )  # fmt: skip

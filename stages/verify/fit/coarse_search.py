@@ -1,0 +1,168 @@
+"""Coarse search: every heading at offsets around a place, so that no start is missed; compiled."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from spinpipe.stages.compiled import inner
+from spinpipe.stages.verify.fit.coarse_bounds import gain, gain_bounds
+from spinpipe.stages.verify.model.lookup import POSE, half_diagonal, nearest_sample
+from spinpipe.stages.verify.scene.candidate_points import TOO_FEW, cut_out
+
+COARSE_POINTS = 400
+
+
+@njit(nogil=True, error_model="numpy")
+def coarse_fit(body, ground, field, pose, gate, enough):
+    """How purely a pose explains what it claims, for comparing poses of a coarse search.
+
+    Parameters
+    ----------
+    body, ground : Points.
+    field : FieldArrays.
+    pose : (7,) float64.
+    gate : residual at which a point stops being explained, metres.
+    enough : weight of explained points that is convincing in itself.
+
+    Returns
+    -------
+    float
+        e / (e + u) * e / (e + enough), 0..1: e sums w (1 - d^2 / gate^2) over explained points, u
+        the weight of unexplained points in the bounding box and of ground seen where the model
+        would hide it. A sparsely sampled object fits as well as a dense one.
+    """
+    c, s = math.cos(pose[3]), math.sin(pose[3])
+    sx, sy, sz = pose[4], pose[5], pose[6]
+    half_x, half_y = field.size[0] / 2 * sx, field.size[1] / 2 * sy
+    top = field.size[2] * sz
+    origin, inv, footprint = field.origin, 1.0 / field.voxel_m, field.footprint
+    samples = field.samples
+    inv_gate2 = 1.0 / (gate * gate)
+    explained = 0.0
+    unexplained = 0.0
+    points, weights = body.xyz, body.weights
+    for n in range(points.shape[0]):
+        dx, dy = points[n, 0] - pose[0], points[n, 1] - pose[1]
+        ux, uy, uz = c * dx + s * dy, c * dy - s * dx, points[n, 2] - pose[2]
+        k = nearest_sample(field, ux / sx, uy / sy, uz / sz)
+        if k < 0:
+            continue
+        ex, ey, ez = ux - sx * samples[k, 0], uy - sy * samples[k, 1], uz - sz * samples[k, 2]
+        share = 1.0 - (ex * ex + ey * ey + ez * ez) * inv_gate2
+        if share > 0.0:
+            explained += weights[n] * share
+        elif abs(ux) < half_x and abs(uy) < half_y and 0.0 < uz < top:
+            unexplained += weights[n]
+    points, weights = ground.xyz, ground.weights
+    for n in range(points.shape[0]):
+        dx, dy = points[n, 0] - pose[0], points[n, 1] - pose[1]
+        i = int(math.floor(((c * dx + s * dy) / sx - origin[0]) * inv))
+        j = int(math.floor(((c * dy - s * dx) / sy - origin[1]) * inv))
+        if 0 <= i < footprint.shape[0] and 0 <= j < footprint.shape[1] and footprint[i, j]:
+            unexplained += weights[n]
+    return gain(explained, unexplained, enough)
+
+
+@inner
+def coarse_search(grid, field, limits, place, ground_z, poses, gains):
+    """Fill ``poses`` (K, 7) and ``gains`` (K,) with the best distinct coarse fits at a place.
+
+    Every heading is tried at offsets of whole steps around the place; what cannot be among the best
+    by its bound is not looked at.
+
+    Parameters
+    ----------
+    grid : CellGrid.
+    field : FieldArrays.
+    limits : Tolerance.
+    place : (3,) where the model's topmost point may be, world.
+    ground_z : height of the ground there.
+    """
+    x, y, z = place
+    reach = half_diagonal(field) * (1 + limits.stretch) + limits.offset_m + limits.coarse_gate_m
+    ceiling = z + field.size[2] * limits.stretch + 2 * limits.coarse_gate_m
+    body, ground = cut_out(grid, x, y, reach, limits.low_m, ceiling, COARSE_POINTS)
+    if body.xyz.shape[0] < TOO_FEW:
+        return
+    tried = poses_to_try(field, limits, x, y, z, ground_z)
+    # a tenth of the footprint, in cells of equal surface
+    enough = 0.1 * field.size[0] * field.size[1] / (grid.cell_m * grid.cell_m)
+    bounds = np.empty(tried.shape[0])
+    base, tall = tried[0, 2], tried[0, 6]
+    gain_bounds(body, ground, field, limits, x, y, base, tall, enough, bounds)
+    # best first: the pose found is the one that an exhaustive search would find
+    order = np.argsort(-bounds)
+    open_gains = np.zeros(tried.shape[0])
+    looked_at = 0
+    for kept in range(poses.shape[0]):
+        best = -1
+        for n in order[:looked_at]:
+            if not is_distinct(tried[n], poses[:kept], limits):
+                open_gains[n] = 0.0
+            best = _better(open_gains, n, best)
+        while looked_at < len(order):
+            n = order[looked_at]
+            if bounds[n] <= 0.0 or (best >= 0 and bounds[n] < open_gains[best]):
+                break
+            looked_at += 1
+            if is_distinct(tried[n], poses[:kept], limits):
+                open_gains[n] = coarse_fit(
+                    body, ground, field, tried[n], limits.coarse_gate_m, enough
+                )
+                best = _better(open_gains, n, best)
+        if best < 0:
+            break
+        poses[kept] = tried[best]
+        gains[kept] = open_gains[best]
+
+
+@inner
+def _better(gains, n, best):
+    """The one of greater gain, the earlier one if equal; none (-1) is better than no gain."""
+    if gains[n] <= 0.0 or (best >= 0 and gains[n] < gains[best]):
+        return best
+    if best >= 0 and gains[n] == gains[best]:
+        return min(n, best)
+    return n
+
+
+@inner
+def poses_to_try(field, limits, x, y, z, ground_z):
+    """Poses to try, (headings * offsets, 7)."""
+    # where the model is rigid another one may have proposed the place: only its xy counts
+    tall = 1.0
+    base = ground_z
+    if limits.stretch > 0.0:
+        tall = (z - ground_z) / field.size[2]
+        tall = min(max(tall, 1.0 - limits.stretch), 1.0 + limits.stretch)
+        base = z - tall * field.size[2]
+    side = int(math.ceil(limits.offset_m / limits.step_m))
+    poses = np.ones((limits.headings * (2 * side + 1) ** 2, POSE))
+    n = 0
+    for h in range(limits.headings):
+        yaw = 2 * math.pi * h / limits.headings
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        for i in range(-side, side + 1):
+            for j in range(-side, side + 1):
+                ox, oy = i * limits.step_m - field.top[0], j * limits.step_m - field.top[1]
+                poses[n, 0] = x + cos * ox - sin * oy
+                poses[n, 1] = y + sin * ox + cos * oy
+                poses[n, 2] = base
+                poses[n, 3] = yaw
+                poses[n, 6] = tall
+                n += 1
+    return poses
+
+
+@inner
+def is_distinct(pose, others, limits):
+    """Whether a pose is more than a step or a heading away from all others."""
+    for k in range(others.shape[0]):
+        turn = abs((pose[3] - others[k, 3] + math.pi) % (2 * math.pi) - math.pi)
+        shift = math.hypot(pose[0] - others[k, 0], pose[1] - others[k, 1])
+        if turn < 2.1 * math.pi / limits.headings and shift < 2.5 * limits.step_m:
+            return False
+    return True

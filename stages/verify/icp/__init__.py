@@ -1,0 +1,1 @@
+"""The paper's verification: ICP, judged by its residual."""

@@ -1,0 +1,80 @@
+"""What fits of a model are judged by: lengths that follow from model, density and noise."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from spinpipe.stages.verify.model.field import ModelField
+
+
+class Tolerance(NamedTuple):
+    """What a fit of one model is judged by; all follow from model, density and noise.
+
+    Attributes
+    ----------
+    gate_m : a point farther than this from the model's surface is not explained by it.
+    sharp_m : the same without noise: how far the surface itself may be off.
+    coarse_gate_m : the same during the coarse search, at least its step.
+    step_m : offset between the starts of the coarse search.
+    chance : share of the visible surface that a surface at a random height seems to support.
+    headings : number of headings of the coarse search.
+    offset_m : how far a candidate may lie from the model's topmost point.
+    low_m : what is lower than this above the ground may be the ground.
+    stretch : largest relative change of each extent.
+    """
+
+    gate_m: float
+    sharp_m: float
+    coarse_gate_m: float
+    step_m: float
+    chance: float
+    headings: int
+    offset_m: float
+    low_m: float
+    stretch: float
+
+
+def tolerance(model: ModelField, stretch: float, spacing_m: float, noise_m: float) -> Tolerance:
+    """Tolerances of a model in a cloud of given spacing and noise.
+
+    The gate is three standard deviations of the noise, the spacing of the points and how badly the
+    shape itself is known: a model that may stretch by a share of its size is known to that share
+    of its narrow half extent, in quadrature.
+    """
+    narrow = model.narrow_m
+    shape = stretch * narrow
+    sharp = math.hypot(spacing_m, shape)
+    gate = math.hypot(3 * noise_m, sharp)
+    step = 0.3 * narrow
+    # the mean of the points in a column, two spacings around a probe
+    column = math.hypot(sharp, 3 * noise_m / math.sqrt(4 * math.pi))
+    half_length = max(model.size[0], model.size[1]) / 2
+    return Tolerance(
+        gate_m=gate,
+        sharp_m=sharp,
+        coarse_gate_m=max(gate, step),
+        step_m=step,
+        chance=min(0.5, 2 * column / model.size[2]),
+        headings=max(16, math.ceil(2 * math.pi * half_length / (3 * step))),
+        offset_m=0.9 * narrow,
+        low_m=max(3 * noise_m, 0.07 * model.size[2]),
+        stretch=float(stretch),
+    )
+
+
+def shell_share(model: ModelField, gate_m: float) -> float:
+    """Share of the volume a model claims that lies within ``gate_m`` of its surface.
+
+    It is what points scattered at random over the claimed volume would seem to explain.
+    """
+    shape = model.nearest.shape
+    axes = np.meshgrid(*(np.arange(n) for n in shape), indexing="ij")
+    centres = model.origin + (np.stack(axes, -1) + 0.5) * model.voxel_m
+    near = np.linalg.norm(centres - model.samples[model.nearest], axis=-1) < gate_m
+    high = centres[..., 2] > 0.1 * model.size[2]
+    box = (np.abs(centres[..., :2]) < model.size[:2] / 2).all(axis=-1)
+    box &= centres[..., 2] < model.size[2]
+    return float((near & high).sum() / ((near | box) & high).sum())

@@ -1,0 +1,120 @@
+"""Stage 5: every candidate is fitted and judged, and keeps the reason for its fate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from spinpipe.schemas import (
+    CLOUD,
+    CLUSTERS,
+    DETECTIONS,
+    INSTANCES,
+    MODELS,
+    SAMPLING,
+    SCENE,
+    SPIN_IMAGES,
+    TILES,
+    TRACES,
+    UPRIGHT,
+)
+from spinpipe.schemas.records import Detection, FitTrace, InstancePoses
+from spinpipe.stages.geometry.frames import inverse, world_from_scene
+from spinpipe.stages.geometry.world_cloud import WorldCloud
+from spinpipe.stages.stage import Context, Progress, Section
+from spinpipe.stages.verify.by_evidence import verify_by_evidence
+from spinpipe.stages.verify.candidates import Candidates
+from spinpipe.stages.verify.decide.verdict import Rules
+from spinpipe.stages.verify.icp.verification import IcpRules, verify_by_residual
+
+
+class Verify:
+    """Fit the model to each candidate's surroundings and decide."""
+
+    name = "verify"
+    version = 3
+    inputs = (CLOUD, TILES, SCENE, MODELS, UPRIGHT, SAMPLING, SPIN_IMAGES, CLUSTERS)
+    outputs = (TRACES, DETECTIONS, INSTANCES)
+
+    class Config(Section):
+        """How candidates are fitted and judged."""
+
+        method: Literal["evidence", "trimmed", "kiss-icp"] = Field(
+            "evidence",
+            description="evidence: registration to convergence, judged by what the scene shows "
+            "for and against it; trimmed: the paper's ICP, judged by its residual; kiss-icp: the "
+            "same with KISS-ICP's registration",
+        )
+        min_score: float = Field(0.5, ge=0, le=1, description="evidence: below it: rejected")
+        min_observed: float = Field(
+            0.1, ge=0, le=1, description="evidence: least share of the visible surface observed"
+        )
+        min_margin: float = Field(
+            0.01,
+            ge=0,
+            le=1,
+            description="evidence: least lead in score over another heading or type; below it: "
+            "ambiguous",
+        )
+        starts: int = Field(12, ge=1, le=360, description="ICP: headings to start from")
+        iterations: int = Field(15, ge=1, le=1000, description="ICP: of each start")
+        keep: float = Field(0.8, gt=0, le=1, description="ICP: share of the pairs that count")
+        samples: int = Field(500, ge=10, le=1_000_000, description="ICP: points of the model")
+        max_rms_m: float = Field(0.115, gt=0, le=100, description="ICP: above it: rejected")
+
+    def run(self, ctx: Context[Config]) -> None:
+        """Fit every candidate, then write traces, detections and the poses of the accepted."""
+        upright = ctx.read_one(UPRIGHT)
+        candidates = Candidates(
+            clusters=ctx.read(CLUSTERS),
+            models=list(ctx.read(MODELS)),
+            cloud=WorldCloud.of(ctx.read(CLOUD), ctx.read_one(TILES), upright),
+            T_scene_world=inverse(world_from_scene(ctx.read_one(SCENE), upright)),
+        )
+        progress = ctx.progress("candidates", len(candidates.clusters))
+        detections: list[Detection] = []
+        for detection, trace in _verified(candidates, ctx, progress):
+            if trace is not None:
+                ctx.write(TRACES, trace)
+            detections.append(detection)
+        for detection in detections:
+            ctx.write(DETECTIONS, detection)
+        accepted = [d for d in detections if d.fate == "accepted"]
+        positions = np.array([d.position_world for d in accepted]).reshape(-1, 3)
+        half = np.radians([d.heading_deg for d in accepted]) / 2.0
+        zero = np.zeros(len(half))
+        quaternions = np.stack([zero, zero, np.sin(half), np.cos(half)], axis=1)
+        ctx.write(INSTANCES, InstancePoses(positions, quaternions))
+        ctx.log(f"{len(accepted)} of {len(detections)} candidates accepted")
+
+
+def _verified(
+    candidates: Candidates, ctx: Context[Verify.Config], progress: Progress
+) -> Iterator[tuple[Detection, FitTrace | None]]:
+    config = ctx.config
+    if config.method == "evidence":
+        yield from verify_by_evidence(
+            candidates,
+            ctx.read_one(SAMPLING),
+            Rules(config.min_score, config.min_observed, config.min_margin),
+            ctx.rng,
+            threads=ctx.threads,
+            map_blocks=ctx.map,
+            advance=progress.advance,
+        )
+        return
+    rules = IcpRules(
+        method=config.method,
+        starts=config.starts,
+        iterations=config.iterations,
+        keep=config.keep,
+        samples=config.samples,
+        max_rms_m=config.max_rms_m,
+    )
+    images = list(ctx.read(SPIN_IMAGES))
+    for result in verify_by_residual(candidates, images, rules, ctx.rng, ctx.threads):
+        yield result
+        progress.advance()

@@ -1,0 +1,391 @@
+"""Every stage is drawn from made-up messages, and the recording is read back."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import rerun as rr
+from rerun.chunk import Chunk, RrdReader
+
+from spinpipe.pipeline.drawing.draw import DRAW
+from spinpipe.pipeline.drawing.drawing import STAGE_NUMBER
+from spinpipe.pipeline.drawing.recording import (
+    close_recording,
+    find_viewer,
+    open_recording,
+    record_stage,
+)
+from spinpipe.schemas import (
+    CAMERAS,
+    CLOUD,
+    CLUSTERS,
+    DETECTIONS,
+    HITS,
+    MODELS,
+    PLANE,
+    SCENE,
+    SCORES,
+    SPIN_IMAGES,
+    TILES,
+    TRACES,
+    UPRIGHT,
+)
+from spinpipe.schemas.records import (
+    Cameras,
+    CloudTile,
+    Cluster,
+    Detection,
+    Evidence,
+    FitTrace,
+    Hits,
+    ObjectModel,
+    Part,
+    Plane,
+    SceneFrame,
+    ScoreTile,
+    SpinImage,
+    TileIndex,
+    Upright,
+)
+from spinpipe.schemas.topics import Topic
+
+T = TypeVar("T")
+
+STAGES = tuple(STAGE_NUMBER)
+ITERATIONS, STARTS = 4, 3
+FATES = ("accepted", "ambiguous", "rejected")
+
+
+class Messages:
+    """A run held in memory."""
+
+    def __init__(self, of: dict[Topic[Any], list[Any]]) -> None:
+        self.of = {topic.name: messages for topic, messages in of.items()}
+
+    def __call__(self, topic: Topic[T], /) -> Sequence[T]:
+        return self.of.get(topic.name, [])
+
+    def with_messages(self, topic: Topic[T], messages: Sequence[T]) -> Messages:
+        """The same run with other messages on one topic."""
+        other = Messages({})
+        other.of = {**self.of, topic.name: list(messages)}
+        return other
+
+
+def make_model(name: str, mesh: bool) -> ObjectModel:
+    rng = np.random.default_rng(7)
+    corners = np.array([[-2, -1, 0], [2, -1, 0], [2, 1, 0], [0, 0, 1.5]], np.float32)
+    return ObjectModel(
+        name=name,
+        points=rng.uniform([-2, -1, 0], [2, 1, 1.5], (300, 3)).astype(np.float32),
+        normals=np.zeros((300, 3), np.float32),
+        vertices=corners if mesh else np.zeros((0, 3), np.float32),
+        faces=np.array([[0, 1, 3], [1, 2, 3]] if mesh else np.zeros((0, 3)), np.int32),
+        T_object_model=np.eye(4),
+        visible_from="above",
+    )
+
+
+def make_detection(number: int, model: str, fate: str) -> Detection:
+    T_world_object = np.eye(4)
+    T_world_object[:3, 3] = (number, -number, 0)
+    return Detection(
+        id=number,
+        cluster=number,
+        model=model,
+        fate=fate,
+        reason=f"{fate} for a reason",
+        T_world_object=T_world_object,
+        T_scene_model=T_world_object,
+        position_world=(float(number), -float(number), 0.0),
+        position_scene=(float(number), -float(number), 0.0),
+        heading_deg=30.0 * number,
+        heading_margin=0.4,
+        correlation=0.8,
+        rms_m=0.09,
+        inliers=400,
+        runner_up_heading_deg=180.0,
+        runner_up_rms_m=0.13,
+        coverage_model=0.7,
+        coverage_scene=0.6,
+        observed=0.9,
+        score=0.5 + 0.1 * number,
+        parts=(Part("below ground", 0.01),),
+        alternative="van",
+        alternative_margin=0.2,
+    )
+
+
+def make_run() -> Messages:
+    """Three tiles, a mesh and a cloud as models, a candidate of every fate."""
+    rng = np.random.default_rng(1)
+    clouds = [
+        CloudTile(
+            rng.uniform((10 * i, 0, 0), (10 * i + 10, 8, 2), (count, 3)).astype(np.float32),
+            rng.integers(0, 255, (count, 3), np.uint8),
+        )
+        for i, count in enumerate((500, 20, 480))
+    ]
+    scores = [
+        ScoreTile(
+            ("saloon", "van"),
+            tile.xyz,
+            rng.uniform(-1, 1, (len(tile.xyz), 2)).astype(np.float32),
+            tile.rgb,
+        )
+        for tile in clouds
+    ]
+    image = SpinImage(
+        "saloon", "model", 2.5, 1.0, 0.5, np.ones((2, 5), np.float32), (0, 0, 1.5), 1.0
+    )
+    rms = np.linspace(0.5, 0.1, STARTS * ITERATIONS, dtype=np.float32)
+    trace = FitTrace(
+        cluster=0,
+        start_heading_deg=np.array([0.0, 120.0, 240.0]),
+        rms_m=rms.reshape(ITERATIONS, STARTS).T.copy(),
+        poses=np.tile(np.eye(4), (ITERATIONS, 1, 1)),
+    )
+    trace.rms_m[1, 2:] = np.nan
+    hits = Hits("saloon", clouds[0].xyz[:30], np.full(30, 0.9, np.float32))
+    return Messages(
+        {
+            SCENE: [SceneFrame((1e6, 2e6, 0.0), 1.0, 1000, 3, True, "yard.ply")],
+            TILES: [
+                TileIndex(
+                    np.array([tile.xyz.min(axis=0) for tile in clouds]),
+                    np.array([tile.xyz.max(axis=0) for tile in clouds]),
+                    np.array([len(tile.xyz) for tile in clouds]),
+                )
+            ],
+            CLOUD: clouds,
+            CAMERAS: [Cameras(np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)))],
+            MODELS: [make_model("saloon", mesh=True), make_model("van", mesh=False)],
+            PLANE: [Plane((0, 0, 1), 0.0, 900, 1000, 0.03, 0.1, "cameras", (Evidence("c", 1.0),))],
+            UPRIGHT: [Upright((0.6, 0.0, 0.0, 0.8), (0.0, 0.0, 1.0))],
+            SCORES: scores,
+            HITS: [hits, replace(hits, model="van", points=hits.points[:0])],
+            SPIN_IMAGES: [image, replace(image, role="scene", correlation=0.93)],
+            CLUSTERS: [Cluster(i, "saloon", (i, 0, 1), 5, 0.8, "delaunay") for i in range(3)],
+            TRACES: [trace, replace(trace, cluster=2)],
+            DETECTIONS: [
+                make_detection(0, "saloon", "accepted"),
+                make_detection(1, "van", "ambiguous"),
+                make_detection(2, "saloon", "rejected"),
+            ],
+        }
+    )
+
+
+def draw(path: Path, run: Messages, stages: Sequence[str] = STAGES, points: int = 1000) -> Path:
+    rec = open_recording("test", "save", path)
+    assert rec is not None
+    for stage in stages:
+        record_stage(stage, run, rec, points)
+    close_recording(rec)
+    return path
+
+
+def chunks(path: Path, content: str, static: bool | None = None) -> list[Chunk]:
+    """Chunks below a path, in the order in which their first rows were logged."""
+    found = RrdReader(path).store().stream().filter(content=content, is_static=static)
+    return sorted(found, key=lambda chunk: column([chunk], "rerun.controls.RowId")[0])
+
+
+def column(found: Sequence[Chunk], name: str) -> list[Any]:
+    """All rows of a column, over the chunks that have it."""
+    batches = [pa.record_batch(chunk.to_record_batch()) for chunk in found]
+    return [row for b in batches if name in b.schema.names for row in b.column(name).to_pylist()]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def strict() -> Iterator[None]:
+    """Misuse of the SDK is an error instead of a warning."""
+    rr.set_strict_mode(True)
+    yield
+    rr.set_strict_mode(False)
+
+
+@pytest.fixture(scope="module")
+def recording(strict: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return draw(tmp_path_factory.mktemp("recording") / "run.rrd", make_run())
+
+
+def test_every_stage_has_a_drawing() -> None:
+    assert list(DRAW) == list(STAGES)
+
+
+def test_entities_are_named_after_stages_and_topics(recording: Path) -> None:
+    paths = set(RrdReader(recording).store().schema().entity_paths())
+    assert {
+        "/ingest/cloud/0000",
+        "/ingest/cameras",
+        "/ground/plane",
+        "/scan/correlation/0002",
+        "/scan/hits/saloon",
+        "/scan/histogram/van",
+        "/scan/spin_image/saloon/scene",
+        "/cluster/candidates",
+        "/cluster/candidate",
+        *(f"/verify/{fate}" for fate in FATES),
+        "/verify/fit/saloon",
+        "/verify/rms/starts",
+        "/verify/ledger",
+        "/notes",
+    } <= paths
+
+
+def test_only_timelines_that_are_not_time(recording: Path) -> None:
+    names = {str(index.name) for index in RrdReader(recording).store().schema().index_columns()}
+    assert names == {"stage", "tile", "candidate", "iteration"}
+
+
+def test_file_is_sound(recording: Path) -> None:
+    viewer = find_viewer()
+    assert viewer is not None
+    subprocess.run([viewer, "rrd", "verify", str(recording)], check=True, capture_output=True)
+
+
+def test_cloud_is_static_in_the_local_frame_and_turns_upright_with_the_stage(
+    recording: Path,
+) -> None:
+    cloud = chunks(recording, "/ingest/cloud/**")
+    assert all(chunk.is_static for chunk in cloud)
+    assert column(cloud, "CoordinateFrame:frame") == [["local"]] * 3
+    assert sum(len(row) for row in column(cloud, "Points3D:positions")) == 1000
+    local = chunks(recording, "/frames/local")
+    assert column(local, "stage") == [1, 2]
+    assert column(local, "Transform3D:quaternion") == [[pytest.approx([0.6, 0, 0, 0.8])]]
+
+
+@pytest.mark.parametrize("timeline", ["tile", "candidate", "iteration"])
+@pytest.mark.parametrize(
+    "path",
+    ["/frames/local", "/frames/candidate", "/scan/spin_image/saloon/model", "/verify/accepted"],
+)
+def test_results_are_there_from_the_start_of_every_timeline(
+    recording: Path, path: str, timeline: str
+) -> None:
+    assert min(column(chunks(recording, path, static=False), timeline)) == 0
+
+
+def test_all_shapes_hang_in_one_tree_of_frames(recording: Path) -> None:
+    shapes = ("Points3D:positions", "Boxes3D:half_sizes", "LineStrips3D:strips", "Mesh3D:vertex")
+    found = [c for c in chunks(recording, "/**") if not c.entity_path.startswith("/ingest/models")]
+    placed = {c.entity_path for c in found if column([c], "CoordinateFrame:frame")}
+    drawn = {
+        c.entity_path
+        for c in found
+        if any(name.startswith(shapes) for name in c.to_record_batch().schema.names)
+    }
+    assert drawn
+    assert drawn <= placed
+
+
+def test_tiles_appear_one_after_the_other(recording: Path) -> None:
+    tiles = [
+        column(chunks(recording, f"/scan/correlation/{i:04d}", static=False), "tile")
+        for i in range(3)
+    ]
+    assert tiles == [[0], [1], [2]]
+
+
+def test_interim_results_are_cleared_by_later_stages(recording: Path) -> None:
+    for path, first, cleared in (
+        ("/ground", 2, 3),
+        ("/scan/hits", 3, 5),
+        ("/cluster/candidates", 4, 5),
+    ):
+        below = chunks(recording, f"{path}/**", static=False)
+        assert {tuple(chunk.timeline_names) for chunk in below} == {("stage",)}
+        assert set(column(below, "stage")) == {first, cleared}
+
+
+def test_iterations_of_all_candidates_follow_each_other(recording: Path) -> None:
+    saloon = chunks(recording, "/verify/fit/saloon", static=False)
+    moves = [c for c in saloon if c.timeline_names == ["candidate", "iteration"]]
+    steps = sorted(set(column(moves, "iteration")))
+    # candidates 0 and 2 were traced, 1 shows its reported pose only, as another model
+    assert steps == list(range(2 * (ITERATIONS + 1) + 1))
+    rms = chunks(recording, "/verify/rms/starts", static=False)
+    assert len(column(rms, "iteration")) == 2 * (ITERATIONS + 1)
+    assert all(len(row) == STARTS for row in column(rms, "Scalars:scalars"))
+
+
+def test_best_curve_follows_the_lowest_start_and_breaks_off(recording: Path) -> None:
+    best = np.array(column(chunks(recording, "/verify/rms/best", static=False), "Scalars:scalars"))
+    expected = np.nanmin(make_run()(TRACES)[0].rms_m, axis=0)
+    np.testing.assert_allclose(best[:ITERATIONS, 0], expected)
+    assert np.isnan(best[ITERATIONS, 0])
+
+
+def test_ledger_holds_every_candidate_with_its_reason(recording: Path) -> None:
+    ledger = chunks(recording, "/verify/ledger")
+    assert column(ledger, "candidate") == [0, 1, 2]
+    assert column(ledger, "fate") == [[fate] for fate in FATES]
+    assert column(ledger, "reason") == [[f"{fate} for a reason"] for fate in FATES]
+
+
+def test_notes_follow_the_cursor(recording: Path) -> None:
+    notes = chunks(recording, "/notes")
+    texts = [row[0] for row in column(notes, "TextDocument:text")]
+    assert len(texts) == len(STAGES) + 3
+    assert "yard.ply" in texts[0]
+    assert "1 accepted, 1 ambiguous, 1 rejected" in texts[4]
+    assert "rejected for a reason" in texts[-1]
+
+
+def test_preview_caps_cloud_and_correlation(tmp_path: Path) -> None:
+    path = draw(tmp_path / "run.rrd", make_run(), points=100)
+    for content in ("/ingest/cloud/**", "/scan/correlation/**"):
+        assert sum(len(row) for row in column(chunks(path, content), "Points3D:positions")) == 100
+
+
+def test_the_same_messages_draw_the_same_recording(tmp_path: Path) -> None:
+    first, second = (draw(tmp_path / name, make_run()) for name in ("a.rrd", "b.rrd"))
+    assert rows_by_kind(first) == rows_by_kind(second)
+
+
+def rows_by_kind(path: Path) -> Counter[str]:
+    """How many rows there are of each entity, timelines and columns, however chunks were cut."""
+    rows: Counter[str] = Counter()
+    for line in str(RrdReader(path).store().summary()).splitlines():
+        found = re.fullmatch(r"(\S+) rows=(\d+) (.*)", line)
+        if found and "RecordingInfo" not in line:
+            rows[f"{found[1]} {found[3]}"] += int(found[2])
+    assert rows
+    return rows
+
+
+@pytest.mark.parametrize("until", range(1, 6))
+def test_a_run_that_stopped_early_can_be_looked_at(tmp_path: Path, until: int) -> None:
+    path = draw(tmp_path / "run.rrd", make_run(), STAGES[:until])
+    assert max(column(chunks(path, "/notes"), "stage")) == until
+
+
+@pytest.mark.parametrize(
+    "run",
+    [
+        make_run()
+        .with_messages(HITS, [])
+        .with_messages(CLUSTERS, [])
+        .with_messages(TRACES, [])
+        .with_messages(DETECTIONS, []),
+        make_run().with_messages(CAMERAS, []).with_messages(SPIN_IMAGES, []),
+        make_run().with_messages(TRACES, []),
+        make_run().with_messages(SCENE, [replace(make_run()(SCENE)[0], coloured=False)]),
+        make_run().with_messages(MODELS, [make_model("van/of: two words", mesh=True)]),
+    ],
+    ids=["nothing found", "no cameras", "no traces", "no colours", "a name full of signs"],
+)
+def test_sparse_runs_are_drawn(tmp_path: Path, run: Messages) -> None:
+    path = draw(tmp_path / "run.rrd", run)
+    assert max(column(chunks(path, "/notes"), "stage")) == 5

@@ -1,0 +1,44 @@
+"""What stands beyond the sides of a fit, and when it is a part of something larger."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from spinpipe.stages.verify.decide.continuation import explained_sides, first_continuing
+
+SIZE = np.array([[2.0, 1.0, 0.8]])
+FIT = np.array([[3.0, 4.0, 0.0, np.pi / 2]])
+ON_ITS_LEFT = np.array([[3.0 - 1.2, 4.0, 0.0, np.pi / 2]])
+"""+y of the fit is -x of the world."""
+
+
+def test_an_instance_beside_a_fit_explains_that_side() -> None:
+    explained = explained_sides(FIT, SIZE, ON_ITS_LEFT, SIZE)
+    assert explained.tolist() == [[False, True, False, False]]
+
+
+def test_a_fit_does_not_explain_itself_nor_one_that_is_far() -> None:
+    assert not explained_sides(FIT, SIZE, FIT + [0.1, 0.1, 0, 0], SIZE).any()
+    assert not explained_sides(FIT, SIZE, ON_ITS_LEFT - [3.0, 0, 0, 0], SIZE).any()
+
+
+def test_it_is_the_same_for_many_fits_at_once() -> None:
+    poses = np.tile(FIT, (300, 1)) + np.arange(300)[:, None] * [10.0, 0, 0, 0]
+    near = poses + (ON_ITS_LEFT - FIT)
+    sizes = np.tile(SIZE, (300, 1))
+    assert explained_sides(poses, sizes, near, sizes)[:, 1].all()
+
+
+def test_a_level_surface_goes_on_unless_an_instance_explains_it() -> None:
+    levels = np.array([[0.1, 0.9, 0.0, 0.0]])
+    assert first_continuing(levels, np.zeros((1, 4), bool)) == ["left"]
+    assert first_continuing(levels, np.array([[False, True, False, False]])) == [""]
+    assert first_continuing(np.full((1, 4), 0.2), np.zeros((1, 4), bool)) == [""]
+
+
+def test_nothing_to_judge() -> None:
+    empty = np.zeros((0, 4))
+    none = explained_sides(empty, np.zeros((0, 3)), FIT, SIZE)
+    assert none.shape == (0, 4)
+    assert first_continuing(empty, none) == []
+    assert not explained_sides(FIT, SIZE, empty, np.zeros((0, 3))).any()

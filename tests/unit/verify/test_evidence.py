@@ -1,0 +1,73 @@
+"""What speaks for and against a fit: rows, noise at steps, wrong shapes, thin plates."""
+
+import numpy as np
+import pytest
+from tests.unit.verify.standing import cloud_of, known_object, verdicts_on
+
+from spinpipe.stages.geometry.sampling import measure_sampling
+from spinpipe.stages.geometry.shapes import box, cylinder, merged, placed, sample_surface
+from spinpipe.stages.verify.judge.examiner import Examiner
+from spinpipe.stages.verify.judge.scoring import score
+from spinpipe.stages.verify.model.field import build_model_field
+
+CABINET = box(0.9, 0.45, 1.2)
+LATHE = merged(
+    [
+        *(placed(box(0.5, 0.5, 0.6), (x, 0, 0)) for x in (-0.65, 0.65)),
+        placed(box(1.9, 0.45, 0.2), (0, 0, 0.6)),
+        placed(box(0.5, 0.5, 0.45), (-0.68, 0, 0.8)),
+        placed(box(0.3, 0.55, 0.14), (0, 0, 0.8)),
+    ]
+)
+
+
+def test_a_row_of_instances_is_found_whatever_touches_them():
+    """Neighbours explain each other; a lower body beside them is no continuation."""
+    row = [placed(CABINET, (0, 0.5 * k, 0)) for k in range(3)]
+    lower = placed(box(0.9, 0.45, 0.7), (0, -0.46, 0))
+    cloud = cloud_of([*row, lower], 8, 2000, noise=0.01)
+    verdicts = verdicts_on(
+        cloud, [known_object("cabinet", CABINET)], [(0, 0.5 * k, 1.2) for k in range(3)]
+    )
+    assert [v.fate for v in verdicts] == ["accepted"] * 3
+
+
+def test_a_level_body_that_goes_on_is_no_instance_in_a_row():
+    deeper = box(0.9, 0.7, 1.2)
+    verdicts = verdicts_on(
+        cloud_of([deeper], 8, 2000, noise=0.01), [known_object("cabinet", CABINET)], [(0, 0, 1.2)]
+    )
+    assert verdicts[0].fate != "accepted"
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.03])
+def test_a_box_is_no_barrel(noise):
+    barrel, crate = cylinder(0.29, 0.88, 24), box(0.58, 0.58, 0.88)
+    cloud = cloud_of([placed(crate, (0, 0, 0)), placed(barrel, (2, 0, 0))], 8, 900, noise)
+    verdicts = verdicts_on(cloud, [known_object("barrel", barrel)], [(0, 0, 0.88), (2, 0, 0.88)])
+    assert [v.fate for v in verdicts] == ["rejected", "accepted"]
+
+
+def test_steps_are_no_contradiction_in_noise():
+    cloud = cloud_of([LATHE], 10, 700, noise=0.07)
+    known = known_object("lathe", LATHE)
+    verdict = verdicts_on(cloud, [known], [(-0.68, 0, 1.25)])[0]
+    assert verdict.evidence["contradicted"] < 0.05
+    assert verdict.parts["model"] > 0.9
+
+
+def test_the_underside_of_a_plate_is_not_seen_from_above():
+    bench = merged([placed(box(0.4, 1.8, 0.05), (0, 0, 0.42)), box(0.3, 0.08, 0.42)])
+    points, normals = sample_surface(*bench, 40_000, np.random.default_rng(0))
+    field = build_model_field("bench", points, normals)
+    low = field.samples[field.probes, 2] < 0.45
+    assert field.seen_weight[low].sum() < 0.1
+
+
+def test_a_right_instance_scores_high_in_anycloud_of():
+    """Scores are relative to what a right instance gets: noise does not lower them."""
+    for noise in (0.0, 0.05):
+        cloud = cloud_of([CABINET], 8, 2000, noise)
+        examiner = Examiner([known_object("cabinet", CABINET)], measure_sampling(cloud))
+        assert score(examiner.reference, examiner.reference, np.zeros(1))[0] > 0.95
+        assert verdicts_on(cloud, examiner.objects, [(0, 0, 1.2)])[0].score > 0.9
