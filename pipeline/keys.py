@@ -1,19 +1,24 @@
 """The key of a stage: what its output depends on, hashed before it runs.
 
-key = hash(stage name, stage version, its config section, content of its input files, seed,
-keys of the stages it reads from). Names and places of files do not count, their content does.
+key = hash(stage name, its code, its config section, content of its input files, seed, keys of the
+stages it reads from). Names and places of files do not count, their content does; of code neither
+layout nor comments nor docstrings.
 """
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
+import sys
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
 
+from spinpipe import schemas, stages
 from spinpipe.pipeline.scenes.gltf_buffers import external_buffers
 from spinpipe.stages import STAGES
 from spinpipe.stages.stage import Stage, StageError
@@ -36,7 +41,7 @@ def stage_parts(
     StageError
         If an input file is missing or cannot be read.
     """
-    parts = {"code": f"{stage.name} version {stage.version}", "seed": str(seed)}
+    parts = {"version": f"{stage.name} {stage.version}"} | _code(stage) | {"seed": str(seed)}
     for name, value in _flatten(section, stage.name):
         parts[name] = hash_path(value, name) if isinstance(value, Path) else json.dumps(value)
     return parts | {f"stage {name}": key for name, key in inputs.items()}
@@ -77,6 +82,41 @@ def hash_path(path: Path, key: str) -> str:
     except OSError as error:
         raise StageError(f"{key}: cannot read {path}: {error.strerror}") from None
     return f"sha256 {digest.hexdigest()}{path.suffix}"
+
+
+@cache
+def code_digest(*files: Path) -> str:
+    """Digest of what Python files do: comments, layout and docstrings may change."""
+    digest = hashlib.sha256()
+    for file in sorted(files):
+        tree = ast.parse(file.read_bytes())
+        for node in ast.walk(tree):
+            if isinstance(body := getattr(node, "body", None), list):
+                node.body = [line for line in body if not _is_text(line)]  # pyright: ignore
+        digest.update(f"{file.name} {ast.dump(tree)}\n".encode())
+    return digest.hexdigest()
+
+
+def _is_text(line: ast.stmt) -> bool:
+    """Whether a statement is a string and nothing else, as docstrings are."""
+    return (
+        isinstance(line, ast.Expr)
+        and isinstance(line.value, ast.Constant)
+        and isinstance(line.value.value, str)
+    )
+
+
+def _code(stage: Stage) -> dict[str, str]:
+    """Digests of the code that a stage may call: its folder, what stages share, the messages."""
+    own = Path(sys.modules[type(stage).__module__].__file__ or "").parent
+    shared, messages = (Path(package.__path__[0]) for package in (stages, schemas))
+    top = [file for file in shared.glob("*.py") if file.name != "__init__.py"]
+    return {
+        f"code of {stage.name}": code_digest(*own.rglob("*.py")),
+        "code of geometry": code_digest(*(shared / "geometry").rglob("*.py")),
+        "code of stages": code_digest(*top),
+        "code of schemas": code_digest(*messages.glob("*.py")),
+    }
 
 
 def _flatten(value: Any, name: str) -> Iterator[tuple[str, Any]]:

@@ -128,7 +128,7 @@ class Stage(Protocol):
 
     @property
     def version(self) -> int:
-        """Raised whenever the same input and config would give another output."""
+        """Raised to force the stage to run again; a change to its code does so by itself."""
         ...
 
     @property

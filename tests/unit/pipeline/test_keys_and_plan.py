@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +13,7 @@ import pytest
 import trimesh
 
 from spinpipe.pipeline.config import ConfigError, load_config
-from spinpipe.pipeline.keys import changed_parts, hash_path, producers, stage_key
+from spinpipe.pipeline.keys import changed_parts, code_digest, hash_path, producers, stage_key
 from spinpipe.pipeline.plan import Step, make_plan
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.stages import STAGES
@@ -20,6 +22,7 @@ from spinpipe.stages.stage import StageError
 if TYPE_CHECKING:
     from tests.conftest import YardRun
 
+ROOT = Path(__file__).parents[3]
 NAMES = [stage.name for stage in STAGES]
 
 
@@ -83,6 +86,63 @@ def test_how_the_work_is_done_is_no_reason(finished_yard: YardRun, override: str
 def test_a_change_upstream_is_the_reason_downstream(finished_yard: YardRun) -> None:
     steps = plan(finished_yard, "scan.bin_m=0.25")
     assert "scan" in reason(steps, "cluster")
+
+
+def test_a_changed_constant_runs_the_stage_again(finished_yard: YardRun, tmp_path: Path) -> None:
+    """With the program itself, from a copy of its folders."""
+    for folder in ("schemas", "stages", "pipeline"):
+        shutil.copytree(ROOT / folder, tmp_path / "spinpipe" / folder)
+    suppression = tmp_path / "spinpipe" / "stages" / "cluster" / "suppression.py"
+    text = suppression.read_text()
+
+    def plan_lines() -> list[str]:
+        command = "from spinpipe.pipeline.cli import main; main()"
+        done = subprocess.run(
+            [
+                sys.executable,
+                "-c",
+                command,
+                "plan",
+                finished_yard.config,
+                "-o",
+                finished_yard.output,
+            ],
+            env=os.environ | {"PYTHONPATH": str(tmp_path)},
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+        return [line.rstrip() for line in done.stdout.splitlines()[1:-1]]
+
+    suppression.write_text(f"# a comment\n{text}")
+    assert {line.split()[1] for line in plan_lines()} == {"reuse"}
+    suppression.write_text(f"{text}\n_ANOTHER = 1\n")
+    *before, cluster, verify = plan_lines()
+    assert {line.split()[1] for line in before} == {"reuse"}
+    assert cluster.split(maxsplit=2) == ["cluster", "run", "code of cluster changed"]
+    assert verify.split(maxsplit=2) == ["verify", "run", "cluster changed"]
+
+
+CODE = """
+class Scan:
+    {doc}
+    threshold_m = {number}
+
+    def run(self):
+        {doc}
+        return {text}
+"""
+
+
+def test_code_is_known_by_what_it_does(tmp_path: Path) -> None:
+    def digest(number: str = "0.6", doc: str = '"""Scan."""', text: str = '"found"') -> str:
+        file = tmp_path / f"{len(list(tmp_path.iterdir()))}" / "scan.py"
+        file.parent.mkdir()
+        file.write_text(CODE.format(number=number, doc=doc, text=text))
+        return code_digest(file)
+
+    assert digest() == digest(doc='"""Said in other words."""') == digest(number="0.6  # [paper]")
+    assert len({digest(), digest(number="0.7"), digest(text='"lost"')}) == 3
 
 
 def test_touching_or_moving_an_input_is_no_reason(yard_run: YardRun) -> None:
