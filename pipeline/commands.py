@@ -51,7 +51,8 @@ def execute(
     with locked(folder):
         text = config.to_toml()
         write_atomically(folder.config, lambda file: file.write_text(text, encoding="utf-8"))
-        read = RunReader(folder)
+        done: list[str] = []
+        read = RunReader(folder, done)
         stages = [step.stage.name for step in steps if step.action != "skip"]
         unchanged = all(step.action == "reuse" for step in steps)
         with (
@@ -64,8 +65,12 @@ def execute(
                 keep=unchanged,
             ) as draw,
         ):
-            runner = Runner(config, folder, engine, console)
-            reports = runner.run(steps, lambda stage: draw(stage, read))
+
+            def finished(stage: str) -> None:
+                done.append(stage)
+                draw(stage, read)
+
+            reports = Runner(config, folder, engine, console).run(steps, finished)
         _write_report(config, folder, reports)
         if stages[-1:] == ["verify"]:
             detections = export_results(config.run.name, read, folder)

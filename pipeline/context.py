@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Generic, TypeVar
 
 import numpy as np
 
 from spinpipe.pipeline.engine import Engine
-from spinpipe.pipeline.mcap_file import Messages, StageFileWriter, recover
+from spinpipe.pipeline.mcap_file import (
+    DamagedFileError,
+    Messages,
+    StageFileWriter,
+    read_metadata,
+    recover,
+)
 from spinpipe.pipeline.progress import StageProgress
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.schemas.topics import Topic
@@ -24,16 +31,54 @@ C = TypeVar("C", bound=Section)
 
 
 class RunReader:
-    """Reads any topic of a run's complete files."""
+    """The one door to what a run has written: only whole files that follow from each other.
 
-    def __init__(self, folder: RunFolder) -> None:
+    Parameters
+    ----------
+    folder : of the run.
+    ready : stages that may be read; by default all that are there. A run that is under way names
+        those that it has finished, so that what an earlier one left is never looked at.
+    """
+
+    def __init__(self, folder: RunFolder, ready: Container[str] | None = None) -> None:
         self.folder = folder
+        self._ready = ready
 
     def __call__(self, topic: Topic[T]) -> Sequence[T]:
-        """Records of a topic, decoded as they are asked for; none if its stage is not complete."""
+        """Records of a topic, decoded as they are asked for; none if its stage is not complete.
+
+        Raises
+        ------
+        DamagedFileError
+            If a file is damaged, or was made from another than the one that stands beside it.
+        """
         producer = next(stage for stage in STAGES if topic in stage.outputs)
         path = self.folder.mcap(producer.name)
-        return Messages(path, topic) if path.exists() else ()
+        if not path.exists() or (self._ready is not None and producer.name not in self._ready):
+            return ()
+        require_origin(self.folder, producer.name)
+        return Messages(path, topic)
+
+
+def require_origin(folder: RunFolder, stage: str) -> None:
+    """Refuse a stage's file that was made from other files than those beside it.
+
+    Raises
+    ------
+    DamagedFileError
+        If so, or if one of the files is damaged.
+    """
+    made_from = json.loads(read_metadata(folder.mcap(stage), "stage").get("parts", "{}"))
+    for name in (s.name for s in STAGES):
+        expected, path = made_from.get(f"stage {name}"), folder.mcap(name)
+        if expected is None or not path.exists():
+            continue
+        if read_metadata(path, "stage").get("key") != expected:
+            raise DamagedFileError(
+                f"{folder.mcap(stage)} was not made from {path.name} beside it; "
+                "run its config again"
+            )
+        require_origin(folder, name)
 
 
 class RunContext(Generic[C]):

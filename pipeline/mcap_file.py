@@ -18,6 +18,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO, Generic, TypeVar, cast, overload
 
+from google.protobuf.message import DecodeError
 from mcap.exceptions import McapError
 from mcap.reader import SeekingReader
 from mcap.records import Channel, Message, Metadata
@@ -98,7 +99,7 @@ class StageFileWriter:
         self._stream.flush()
         os.fsync(self._stream.fileno())
         self._stream.close()
-        check(self._path)
+        require_whole(self._path)
 
     def abandon(self) -> None:
         """Close the file as it is: incomplete."""
@@ -133,6 +134,23 @@ def check(path: Path) -> None:
             raise DamagedFileError(f"{path.name} is damaged: its index does not match its checksum")
 
 
+def require_whole(path: Path) -> None:
+    """``check`` a file, once for as long as it stays as it is; whatever is read passes here.
+
+    Raises
+    ------
+    DamagedFileError
+        See ``check``.
+    """
+    stat = path.stat()
+    _check_once(path.resolve(), stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns)
+
+
+@lru_cache(maxsize=256)
+def _check_once(path: Path, *_identity: int) -> None:
+    check(path)
+
+
 def _crc(stream: BinaryIO, begin: int, end: int) -> int:
     stream.seek(begin)
     crc, left = 0, end - begin
@@ -143,7 +161,14 @@ def _crc(stream: BinaryIO, begin: int, end: int) -> int:
 
 
 def read_metadata(path: Path, name: str) -> dict[str, str]:
-    """The metadata record ``name`` of a complete file; empty if there is none."""
+    """The metadata record ``name`` of a complete file; empty if there is none.
+
+    Raises
+    ------
+    DamagedFileError
+        If any byte of the file is not what was written.
+    """
+    require_whole(path)
     try:
         with path.open("rb") as stream:
             for record in SeekingReader(stream, validate_crcs=True).iter_metadata():
@@ -163,8 +188,11 @@ class Messages(Sequence[T], Generic[T]):
     def __init__(self, path: Path, topic: Topic[T]) -> None:
         self.path = path
         self.topic = topic
-        span = json.loads(read_metadata(path, "topics").get(topic.name, "[0, 0]"))
-        self._first, self._count = cast("list[int]", span)
+        span = read_metadata(path, "topics").get(topic.name, "[0, 0]")
+        try:
+            self._first, self._count = (int(number) for number in json.loads(span))
+        except (ValueError, TypeError):
+            raise DamagedFileError(f"{path.name} was not written by spinpipe") from None
 
     def __len__(self) -> int:
         return self._count
@@ -192,7 +220,7 @@ class Messages(Sequence[T], Generic[T]):
         try:
             for _, _, message in messages:
                 yield self.topic.decode(message.data)
-        except (McapError, struct.error, ValueError) as error:
+        except (McapError, DecodeError, struct.error, ValueError) as error:
             raise DamagedFileError(f"{self.path.name} is damaged: {error}") from None
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from spinpipe.pipeline.config import ConfigError, RunConfig
 from spinpipe.pipeline.keys import changed_parts, producers, stage_key, stage_parts
-from spinpipe.pipeline.mcap_file import DamagedFileError, check, read_metadata
+from spinpipe.pipeline.mcap_file import DamagedFileError, read_metadata
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.stages import STAGES
 from spinpipe.stages.stage import Section, Stage
@@ -86,13 +86,15 @@ def _decide(folder: RunFolder, stage: str, key: str, parts: Mapping[str, str]) -
             return "run", "was interrupted"
         return "run", "no output yet"
     try:
-        check(path)
         written = read_metadata(path, "stage")
+        before = dict[str, str](json.loads(written.get("parts", "{}")))
     except DamagedFileError as error:
         return "run", str(error)
+    except (ValueError, TypeError):
+        return "run", f"{path.name} was not written by spinpipe"
     if written.get("key") == key:
         return "reuse", "nothing it depends on changed"
-    return "run", _why(json.loads(written.get("parts", "{}")), parts)
+    return "run", _why(before, parts)
 
 
 def _why(before: Mapping[str, str], now: Mapping[str, str]) -> str:

@@ -217,6 +217,53 @@ def test_a_truncated_file_is_made_again(
     assert_same_results(yard_run, finished_yard)
 
 
+def flip(path: Path, offset: int, bit: int = 0) -> None:
+    data = bytearray(path.read_bytes())
+    data[offset] ^= 1 << bit
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("stage", NAMES[1:])
+def test_a_damaged_later_file_does_not_stop_a_run_that_draws(
+    cli: Cli, finished_yard: YardRun, yard_run: YardRun, stage: str
+) -> None:
+    """The recording of an earlier stage must not look at what is about to be made anew."""
+    path = yard_run.mcap(stage)
+    os.truncate(path, path.stat().st_size // 2)
+    outcome = cli("run", yard_run.config, "-o", yard_run.output)
+    assert ran(outcome) == [stage]
+    assert_same_results(yard_run, finished_yard)
+
+
+@pytest.mark.parametrize("command", ["eval", "cut", "record", "plant"])
+def test_no_command_reads_damaged_metadata(cli: Cli, yard_run: YardRun, command: str) -> None:
+    """Metadata records have no checksum of their own: only that of the file tells."""
+    path = yard_run.mcap("ground" if command == "cut" else "verify")
+    flip(path, path.read_bytes().index(b"topics", 60) + 18)
+    truth = yard_run.folder / "truth.csv"
+    truth.write_text("x,y\n-3.1,-2.6\n")
+    cut = ("model", "cut", yard_run.output, "--at", "3,2.7,0", "--size", "5,2.5,2")
+    outcome = {
+        "eval": lambda: cli("eval", yard_run.output, "--truth", truth),
+        "cut": lambda: cli(*cut, "--out", yard_run.folder / "cut.ply"),
+        "record": lambda: cli("record", yard_run.output),
+        "plant": lambda: cli("plant", yard_run.output, "--count", "1"),
+    }[command]()
+    assert outcome.code == 1, outcome.err
+    assert path.name in outcome.err
+
+
+def test_files_that_do_not_follow_from_each_other_are_not_evaluated(
+    cli: Cli, yard_run: YardRun
+) -> None:
+    assert ran(go_on(cli, yard_run, "--set", "cluster.min_hits=4", "--until", "cluster"))
+    truth = yard_run.folder / "truth.csv"
+    truth.write_text("x,y\n-3.1,-2.6\n")
+    outcome = cli("eval", yard_run.output, "--truth", truth)
+    assert outcome.code == 1
+    assert "05_verify.mcap was not made from 04_cluster.mcap" in outcome.err
+
+
 def test_garbage_in_place_of_a_file_is_replaced(
     cli: Cli, finished_yard: YardRun, yard_run: YardRun
 ) -> None:
