@@ -34,12 +34,12 @@ from spinpipe.schemas.records import (
 )
 from spinpipe.stages.geometry.model_surface import points_on, topmost_point
 from spinpipe.stages.geometry.world_cloud import WorldCloud
+from spinpipe.stages.scan.coarse_to_fine import VOXEL_RADII
 from spinpipe.stages.scan.hit_threshold import hit_threshold
+from spinpipe.stages.scan.image import SpinGrid, SpinTemplate, spin_image, template_from_cloud
 from spinpipe.stages.scan.model_heights import HeightBands
-from spinpipe.stages.scan.spin_image import SpinGrid, SpinTemplate, spin_image, template_from_cloud
-from spinpipe.stages.scan.spin_voxel import VOXEL_RADII
-from spinpipe.stages.scan.spin_weights import extent_weights
-from spinpipe.stages.scan.tile_scan import Origins, TileScan
+from spinpipe.stages.scan.tile import Origins, TileScan
+from spinpipe.stages.scan.weights import extent_weights
 from spinpipe.stages.stage import Context, Section
 
 RADIUS_HALF_WIDTHS = 1.45

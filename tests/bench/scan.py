@@ -30,9 +30,9 @@ import numpy as np
 from scan_pcl import compile_pcl, measure_pcl
 from scan_scenes import BLOCK_POINTS, GRID, Cloud, model_template, scene_blocks
 
-from spinpipe.stages.scan.spin_image import correlation, spin_image
-from spinpipe.stages.scan.spin_kernel import ScanWork, build_index, correlate
-from spinpipe.stages.scan.spin_voxel import VOXEL_RADII, correlate_coarse_to_fine
+from spinpipe.stages.scan.coarse_to_fine import VOXEL_RADII, correlate_coarse_to_fine
+from spinpipe.stages.scan.correlate import ScanWork, build_index, correlate
+from spinpipe.stages.scan.image import correlation, spin_image
 
 MIN_CORRELATION = 0.6
 TWIN_ORIGINS = 100

@@ -17,7 +17,7 @@ from spinpipe.pipeline.scenes.artificial import SEED, make_scene
 from spinpipe.pipeline.scenes.artificial_cars import SALOON, car_mesh
 from spinpipe.pipeline.scenes.artificial_clutter import bush, tree
 from spinpipe.stages.geometry.shapes import Mesh, box, placed, sample_surface, surface_area
-from spinpipe.stages.scan.spin_image import SpinGrid, SpinTemplate, template_from_cloud
+from spinpipe.stages.scan.image import SpinGrid, SpinTemplate, template_from_cloud
 
 GRID = SpinGrid(2.5, 1.0, 0.1)
 DENSITY = 1000

@@ -9,11 +9,11 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 from spinpipe.stages import compiled
-from spinpipe.stages.scan import spin_scan
+from spinpipe.stages.scan import kernel as scan_kernels
 from spinpipe.stages.verify.judge import kernels as judge_kernels
 
 FOLDER = Path(compiled.__file__).parent
-CACHED = {"scan": spin_scan, "verify": judge_kernels}
+CACHED = {"scan": scan_kernels, "verify": judge_kernels}
 
 
 def _named(function):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from spinpipe.pipeline.scenes.artificial import ArtificialScene, TruthRow, make_scene
 from spinpipe.stages.geometry.model_surface import topmost_point
 from spinpipe.stages.geometry.shapes import Mesh, covered_from_above, transform, upright_pose
-from spinpipe.stages.scan.spin_image import SpinGrid, correlation, spin_image
+from spinpipe.stages.scan.image import SpinGrid, correlation, spin_image
 
 TENTED = 4
 

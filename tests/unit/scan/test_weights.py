@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from spinpipe.stages.geometry.shapes import box, placed, sample_surface
-from spinpipe.stages.scan.spin_image import SpinGrid, template_from_cloud
-from spinpipe.stages.scan.spin_kernel import build_index, correlate
-from spinpipe.stages.scan.spin_weights import extent_weights
+from spinpipe.stages.scan.correlate import build_index, correlate
+from spinpipe.stages.scan.image import SpinGrid, template_from_cloud
+from spinpipe.stages.scan.weights import extent_weights
 
 GRID = SpinGrid(2.0, 0.8, 0.1)
 

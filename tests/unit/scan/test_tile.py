@@ -8,9 +8,9 @@ import pytest
 from spinpipe.pipeline.scenes.artificial import make_scene
 from spinpipe.schemas.records import CloudTile, ObjectModel, Sampling, TileIndex, Upright
 from spinpipe.stages.geometry.world_cloud import WorldCloud
+from spinpipe.stages.scan.image import SpinGrid, template_from_cloud
 from spinpipe.stages.scan.model_heights import HeightBands
-from spinpipe.stages.scan.spin_image import SpinGrid, template_from_cloud
-from spinpipe.stages.scan.tile_scan import Origins, TileScan
+from spinpipe.stages.scan.tile import Origins, TileScan
 
 GRID = SpinGrid(2.5, 1.0, 0.2)
 LEVEL = Upright((0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0))

@@ -1,4 +1,4 @@
-"""Compiled loops over blocks of neighbouring origins, see ``spin_kernel``.
+"""Compiled loops over blocks of neighbouring origins, see ``correlate``.
 
 Only these outermost kernels are cached on disk, see ``compiled``.
 """
@@ -10,13 +10,13 @@ import numpy as np
 from numba import njit
 
 from spinpipe.stages.compiled import inner, sources
-from spinpipe.stages.scan.spin_count import (
+from spinpipe.stages.scan.count import (
     correlate_counted,
     count_origin,
     grid_bins,
 )
-from spinpipe.stages.scan.spin_gather import bounding_box, gather
-from spinpipe.stages.scan.spin_pruning import search_group
+from spinpipe.stages.scan.gather import bounding_box, gather
+from spinpipe.stages.scan.pruning import search_group
 
 
 @inner

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from spinpipe.schemas.colormap import viridis
 from spinpipe.schemas.records import F32, ScoreTile
 from spinpipe.stages.geometry.world_cloud import WorldCloud
+from spinpipe.stages.scan.coarse_to_fine import correlate_coarse_to_fine, halo_m
+from spinpipe.stages.scan.correlate import BELOW, correlate
+from spinpipe.stages.scan.image import SpinTemplate
+from spinpipe.stages.scan.index import build_index
 from spinpipe.stages.scan.model_heights import HeightBands
-from spinpipe.stages.scan.spin_image import SpinTemplate
-from spinpipe.stages.scan.spin_index import build_index
-from spinpipe.stages.scan.spin_kernel import BELOW, correlate
-from spinpipe.stages.scan.spin_voxel import correlate_coarse_to_fine, halo_m
 from spinpipe.stages.scan.voxels import Voxels
 
 Origins = Literal["all", "voxel", "subset"]

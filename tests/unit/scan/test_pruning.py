@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from spinpipe.stages.scan.spin_image import SpinGrid, SpinTemplate, spin_image
-from spinpipe.stages.scan.spin_kernel import BELOW, ScanWork, build_index, correlate
+from spinpipe.stages.scan.correlate import BELOW, ScanWork, build_index, correlate
+from spinpipe.stages.scan.image import SpinGrid, SpinTemplate, spin_image
 
 GRIDS = [
     SpinGrid(2.5, 1.0, 0.1),

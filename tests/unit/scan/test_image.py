@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from spinpipe.stages.geometry.model_surface import topmost_point
-from spinpipe.stages.scan.spin_image import (
+from spinpipe.stages.scan.image import (
     SpinGrid,
     SpinTemplate,
     correlation,

@@ -1,6 +1,6 @@
 """One origin's spin image and its correlations, compiled.
 
-The points that an origin may see are a contiguous run (``spin_gather``). It is taken in two loops,
+The points that an origin may see are a contiguous run (``gather``). It is taken in two loops,
 first the bin numbers, which LLVM vectorises, then the counting. The expressions are those of the
 numpy twin ``spin_image``, in float32.
 """
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.stages.compiled import inlined, inner
-from spinpipe.stages.scan.spin_gather import LANES, depth_window, fill
+from spinpipe.stages.scan.gather import LANES, depth_window, fill
 
 FLAT_VARIANCE = 1e-12
 """An image whose variance is below this part of its mean square counts as constant."""
@@ -205,7 +205,7 @@ def _product(image, parts):
 def correlate_counted(templates, g, wanted, scratch, out):
     """Correlate the image just counted with the wanted templates of grid ``g`` into ``out`` (T,).
 
-    See ``spin_image.correlation``; templates of equal weights share the image's deviation.
+    See ``image.correlation``; templates of equal weights share the image's deviation.
     """
     k = np.int64(templates.sizes[g, 0]) * templates.sizes[g, 1]
     deviation = -1.0

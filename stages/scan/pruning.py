@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 
 from spinpipe.stages.compiled import inner
-from spinpipe.stages.scan.spin_classes import (
+from spinpipe.stages.scan.classes import (
     MARGIN_BINS,
     MAX_LIFT_BINS,
     MAX_SHIFT_BINS,
@@ -29,8 +29,8 @@ from spinpipe.stages.scan.spin_classes import (
     mean_image,
     widened,
 )
-from spinpipe.stages.scan.spin_count import correlate_origin, grid_bins, wants_grid
-from spinpipe.stages.scan.spin_gather import depth_window, fill
+from spinpipe.stages.scan.count import correlate_origin, grid_bins, wants_grid
+from spinpipe.stages.scan.gather import depth_window, fill
 
 LIFT_WEIGHT = 6.0
 """How much sooner a group is split by height than by width."""

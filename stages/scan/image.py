@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.stages.geometry.model_surface import topmost_point
-from spinpipe.stages.scan.spin_count import FLAT_VARIANCE
+from spinpipe.stages.scan.count import FLAT_VARIANCE
 
 MAX_BINS = 60_000
 """Most bins of one grid: the kernels hold bin numbers in 16 bits."""

@@ -3,7 +3,7 @@
 Counts are integers and equal those of the numpy twin ``spin_image``; nothing depends on the order
 of points or origins, on the number of threads or on how origins are grouped. With a least
 correlation the scan also proves for whole groups of origins that none of them is a hit
-(``spin_pruning``) and gives the very hits of the exhaustive scan for less work.
+(``pruning``) and gives the very hits of the exhaustive scan for less work.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.stages.scan.spin_classes import make_test_scratch
-from spinpipe.stages.scan.spin_count import Templates, make_scratch
-from spinpipe.stages.scan.spin_gather import IndexArrays
-from spinpipe.stages.scan.spin_image import SpinGrid, SpinTemplate
-from spinpipe.stages.scan.spin_index import SpinIndex, build_index, side_for, sort_by_cell
-from spinpipe.stages.scan.spin_scan import count_blocks, prune_blocks, scan_blocks
+from spinpipe.stages.scan.classes import make_test_scratch
+from spinpipe.stages.scan.count import Templates, make_scratch
+from spinpipe.stages.scan.gather import IndexArrays
+from spinpipe.stages.scan.image import SpinGrid, SpinTemplate
+from spinpipe.stages.scan.index import SpinIndex, build_index, side_for, sort_by_cell
+from spinpipe.stages.scan.kernel import count_blocks, prune_blocks, scan_blocks
 from spinpipe.stages.threads import map_threads
 
 __all__ = ["BELOW", "ScanWork", "SpinIndex", "build_index", "correlate", "histograms"]

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spinpipe.stages.scan.spin_image import SpinGrid, SpinTemplate, correlation, spin_image
-from spinpipe.stages.scan.spin_kernel import (
+from spinpipe.stages.scan.correlate import (
     ScanWork,
     build_index,
     correlate,
     histograms,
 )
+from spinpipe.stages.scan.image import SpinGrid, SpinTemplate, correlation, spin_image
 
 GRIDS = [
     SpinGrid(2.5, 1.0, 0.1),

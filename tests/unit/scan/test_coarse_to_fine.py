@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from spinpipe.stages.scan.spin_image import SpinGrid, template_from_cloud
-from spinpipe.stages.scan.spin_kernel import BELOW, ScanWork, build_index, correlate
-from spinpipe.stages.scan.spin_voxel import correlate_coarse_to_fine
+from spinpipe.stages.scan.coarse_to_fine import correlate_coarse_to_fine
+from spinpipe.stages.scan.correlate import BELOW, ScanWork, build_index, correlate
+from spinpipe.stages.scan.image import SpinGrid, template_from_cloud
 
 GRID = SpinGrid(2.0, 0.8, 0.1)
 

@@ -1,6 +1,6 @@
 """Coarse to fine: one origin in each voxel first, then every origin in and around promising ones.
 
-An approximation, unlike ``spin_pruning``: a hit is lost when no representative of its voxel or of
+An approximation, unlike ``pruning``: a hit is lost when no representative of its voxel or of
 one that touches it comes within ``margin`` of the least correlation.
 """
 
@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.schemas.records import F32
-from spinpipe.stages.scan.spin_image import SpinTemplate
-from spinpipe.stages.scan.spin_index import SpinIndex
-from spinpipe.stages.scan.spin_kernel import BELOW, ScanWork, correlate
+from spinpipe.stages.scan.correlate import BELOW, ScanWork, correlate
+from spinpipe.stages.scan.image import SpinTemplate
+from spinpipe.stages.scan.index import SpinIndex
 from spinpipe.stages.scan.voxels import Voxels
 
 VOXEL_RADII = 1 / 8
@@ -60,7 +60,7 @@ def correlate_coarse_to_fine(
     margin : float
         How much lower the correlation of a promising representative may be.
     pruned : bool
-        Only hits (and promising representatives) are scored, see ``spin_pruning``.
+        Only hits (and promising representatives) are scored, see ``pruning``.
     advance, work
         As for ``correlate``; an origin counts once it is scanned or left out.
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.stages.compiled import inner
-from spinpipe.stages.scan.spin_count import BUFFER, idle_lanes
-from spinpipe.stages.scan.spin_gather import LANES, fill
+from spinpipe.stages.scan.count import BUFFER, idle_lanes
+from spinpipe.stages.scan.gather import LANES, fill
 
 MAX_SHIFT_BINS = 3.0
 """Groups are tested from this reach ``d`` on; wider ones are split first."""
@@ -25,7 +25,7 @@ MAX_LIFT_BINS = 1.0
 MARGIN_BINS = 1e-3
 """Widening of ``d`` and ``e``, far above the rounding of float32 bin coordinates."""
 COPIES = 2
-"""Interleaved tallies, see ``spin_count.COPIES``."""
+"""Interleaved tallies, see ``count.COPIES``."""
 
 
 class Classes(NamedTuple):
