@@ -28,6 +28,18 @@ class RerunMode(StrEnum):
     off = "off"
 
 
+class ExportFormat(StrEnum):
+    """What ``export`` writes."""
+
+    csv = "csv"
+    json = "json"
+    geojson = "geojson"
+    ply = "ply"
+    obj = "obj"
+    kitti = "kitti"
+    las = "las"
+
+
 class Frame(StrEnum):
     """Coordinates of labels."""
 
@@ -134,6 +146,79 @@ def record(
     from spinpipe.pipeline.commands import record_command
 
     record_command(folder, rerun.value)
+
+
+@app.command()
+def status(
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder.")],
+) -> None:
+    """Say what of a run is there, and whether it is being worked on."""
+    from spinpipe.pipeline.results.status import status_command
+
+    status_command(folder)
+
+
+@app.command()
+def why(
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder.")],
+    candidate: Annotated[int, typer.Argument(metavar="ID", min=0, help="Id of a candidate.")],
+) -> None:
+    """Tell the life of one candidate, from its hits to what decided.
+
+    Ids are in the report, on the map and in detections.json.
+    """
+    from spinpipe.pipeline.results.why import why_command
+
+    why_command(folder, candidate)
+
+
+@app.command()
+def view(
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder.")],
+    candidate: Annotated[
+        int | None, typer.Option(metavar="ID", min=0, help="Go to this candidate.")
+    ] = None,
+    web: Annotated[bool, typer.Option("--web", help="In a browser, also without display.")] = False,
+) -> None:
+    """Open a run's recording in the Rerun viewer."""
+    from spinpipe.pipeline.results.view import view_command
+
+    view_command(folder, candidate, web)
+
+
+@app.command()
+def diff(
+    before: Annotated[Path, typer.Argument(metavar="A", help="A run's folder.")],
+    after: Annotated[Path, typer.Argument(metavar="B", help="Another run in the same scene.")],
+    recording: Annotated[
+        Path | None, typer.Option("--record", metavar="RRD", help="Draw both into a recording.")
+    ] = None,
+) -> None:
+    """Compare what two runs accepted: gained, lost, moved, of another type."""
+    from spinpipe.pipeline.results.diff import diff_command
+
+    diff_command(before, after, recording)
+
+
+@app.command()
+def export(
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder.")],
+    name: Annotated[ExportFormat, typer.Option("--format", "-f", help="What to write.")],
+    fates: Annotated[
+        str, typer.Option("--fate", metavar="FATE[,FATE]", help="Which candidates.")
+    ] = "accepted",
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE", help="(RUN/export.<format>)")
+    ] = None,
+) -> None:
+    """Write what was found for another tool, one object an id.
+
+    geojson: footprints in longitude and latitude. ply, obj: fitted models in scene coordinates.
+    kitti: labels in a camera frame at the world's origin. las: the scene's points with object ids.
+    """
+    from spinpipe.pipeline.results.export import export_command
+
+    export_command(folder, name.value, [fate.strip() for fate in fates.split(",")], output)
 
 
 @app.command("eval")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -13,10 +14,10 @@ from spinpipe.pipeline.context import RunReader, thread_count
 from spinpipe.pipeline.demo import DEMO_CONFIG, write_example
 from spinpipe.pipeline.drawing.recording import RecordMode
 from spinpipe.pipeline.engine import open_engine
-from spinpipe.pipeline.export import export_results
 from spinpipe.pipeline.init import commented_config
 from spinpipe.pipeline.plan import Step, make_plan
 from spinpipe.pipeline.recorder import recorder
+from spinpipe.pipeline.results.write import write_results
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.pipeline.runner import Runner, StageReport, locked, report_document
 from spinpipe.pipeline.tables import detection_table, plan_table, stage_tables
@@ -71,18 +72,22 @@ def execute(
                 draw(stage, read)
 
             reports = Runner(config, folder, engine, console).run(steps, finished)
-        _write_report(config, folder, reports)
+        report = _write_report(config, folder, reports)
         if stages[-1:] == ["verify"]:
-            detections = export_results(config.run.name, read, folder)
+            detections = write_results(config, read, folder, report, keep=unchanged)
             console.print(detection_table(detections))
             console.print(f"results in {folder.path}/", highlight=False, soft_wrap=True)
         else:
             console.print(f"stopped after {stages[-1]}; results in {folder.path}/", highlight=False)
 
 
-def _write_report(config: RunConfig, folder: RunFolder, reports: list[StageReport]) -> None:
-    report = json.dumps(report_document(config, reports), indent=1) + "\n"
-    write_atomically(folder.report, lambda file: file.write_text(report, encoding="utf-8"))
+def _write_report(
+    config: RunConfig, folder: RunFolder, reports: list[StageReport]
+) -> dict[str, Any]:
+    report = report_document(config, reports)
+    text = json.dumps(report, indent=1) + "\n"
+    write_atomically(folder.report, lambda file: file.write_text(text, encoding="utf-8"))
+    return report
 
 
 def run_folder(config: RunConfig, output: Path | None) -> RunFolder:

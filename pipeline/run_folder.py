@@ -62,7 +62,22 @@ class RunFolder:
         """The accepted models in scene coordinates."""
         return self.path / "detections.ply"
 
+    @property
+    def detections_geojson(self) -> Path:
+        """Footprints of the accepted in longitude and latitude, if the scene knows where it is."""
+        return self.path / "detections.geojson"
+
+    @property
+    def detections_png(self) -> Path:
+        """The scene from above with the fates of all candidates."""
+        return self.path / "detections.png"
+
+    @property
+    def report_html(self) -> Path:
+        """Everything on one page."""
+        return self.path / "report.html"
+
     def discard_results(self) -> None:
         """Remove the results: what they were made from is about to change."""
-        for path in (self.detections_json, self.detections_csv, self.detections_ply):
+        for path in (*self.path.glob("detections.*"), self.report_html):
             path.unlink(missing_ok=True)

@@ -179,6 +179,11 @@ def _residuals() -> rrb.Vertical:
     )
 
 
+def scene_eye(read: Reader) -> rrb.EyeControls3D:
+    """An eye that sees the whole upright cloud."""
+    return _scene_eye(_corners(read(TILES)[0], read(UPRIGHT)[0].T_world_local))
+
+
 def _corners(tiles: TileIndex, T_world_local: F64) -> F64:
     """(8, 3) corners of the cloud's bounding box in the world, metres."""
     low, high = tiles.low.min(axis=0).tolist(), tiles.high.max(axis=0).tolist()

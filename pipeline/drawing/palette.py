@@ -15,6 +15,7 @@ Colour = tuple[int, ...]
 BACKGROUND = (22, 25, 31)
 ACCEPTED = (0, 205, 150)
 AMBIGUOUS = (240, 200, 50)
+DUPLICATE = (140, 130, 200)
 REJECTED = (200, 80, 25)
 MARK = (86, 180, 233)
 HIT = (230, 100, 190)
@@ -23,7 +24,17 @@ SHADOW = (58, 62, 70)
 PALE = (150, 160, 175)
 WHITE = (245, 245, 245)
 
-FATES = {"accepted": ACCEPTED, "ambiguous": AMBIGUOUS, "rejected": REJECTED}
+FATES = {
+    "accepted": ACCEPTED,
+    "ambiguous": AMBIGUOUS,
+    "duplicate": DUPLICATE,
+    "rejected": REJECTED,
+}
+"""From what matters most to what matters least."""
+KEPT = ("accepted", "ambiguous")
+
+EXPLAINED, UNEXPLAINED, GROUND_POINT = (90, 210, 250), (255, 140, 60), (120, 130, 120)
+SEEN, CONTRADICTED, NOT_OBSERVED = (0, 205, 150), (230, 60, 90), (110, 115, 125)
 
 SERIES = (
     (0, 114, 178),
@@ -34,6 +45,16 @@ SERIES = (
     (213, 94, 0),
 )
 """Colours for curves that stand side by side, in turn."""
+
+
+def fate_colour(fate: str) -> Colour:
+    """Colour of a fate."""
+    return FATES.get(fate, PALE)
+
+
+def rank(fate: str) -> int:
+    """Place of a fate: what matters most first."""
+    return list(FATES).index(fate) if fate in FATES else len(FATES)
 
 
 def shade(values: ArrayLike, low: float, high: float) -> NDArray[np.uint8]:

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from spinpipe.pipeline.evaluation.evaluation import Rule, Score, distances, gave_way
 from spinpipe.pipeline.evaluation.truth import TruthObject
-from spinpipe.pipeline.export import ReadTopic
+from spinpipe.pipeline.results.instances import ReadTopic
 from spinpipe.schemas import CLUSTERS, HITS, MODELS, SCORES
 from spinpipe.schemas.records import F32, F64, Detection, ObjectModel
 

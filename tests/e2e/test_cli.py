@@ -66,6 +66,7 @@ def test_demo_leaves_the_files_of_a_run_and_nothing_else(demo: tuple[Outcome, Pa
     _, output = demo
     example = {"scene.ply", "model_1.ply", "model_2.ply", "truth.csv", "config.toml"}
     results = {"detections.json", "detections.csv", "detections.ply", "report.json"}
+    results |= {"detections.png", "report.html"}
     others = {"run.rrd", "config.resolved.toml", ".lock"}
     assert {path.name for path in output.iterdir()} == {*FILES, *example, *results, *others}
 

@@ -1,0 +1,34 @@
+"""``spinpipe export``: a run's detections in another tool's format."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from spinpipe.pipeline.atomic import write_atomically
+from spinpipe.pipeline.config import ConfigError
+from spinpipe.pipeline.context import RunReader
+from spinpipe.pipeline.results.complete import open_complete
+from spinpipe.pipeline.results.formats import FORMATS, SUFFIX, Export
+from spinpipe.schemas import DETECTIONS, MODELS
+
+
+def export_command(path: Path, name: str, fates: Sequence[str], output: Path | None) -> None:
+    """``spinpipe export``."""
+    folder, config = open_complete(path)
+    read = RunReader(folder)
+    detections = list(read(DETECTIONS))
+    known = {d.fate for d in detections} | {"accepted", "ambiguous", "rejected", "duplicate"}
+    for fate in fates:
+        if fate not in known:
+            raise ConfigError(f"--fate {fate}: no such fate; fates are {', '.join(sorted(known))}")
+    chosen = [d for d in detections if d.fate in fates]
+    models = {model.name: model for model in read(MODELS)}
+    target = output or folder.path / f"export.{SUFFIX.get(name, name)}"
+    target.parent.mkdir(parents=True, exist_ok=True)
+    export = Export(config.run.name, chosen, models, read)
+    write_atomically(target, lambda partial: FORMATS[name](export, partial))
+    text = f"wrote {target}: {len(chosen)} of {len(detections)} candidates ({', '.join(fates)})"
+    Console().print(text, highlight=False, soft_wrap=True)

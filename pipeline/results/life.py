@@ -1,0 +1,229 @@
+"""The life of one candidate, from its hits to what decided: every value beside its limit."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from spinpipe.pipeline.config import RunConfig
+from spinpipe.pipeline.results.instances import ReadTopic
+from spinpipe.schemas import CLUSTERS, DETECTIONS, HITS, SPIN_IMAGES, TRACES
+from spinpipe.schemas.records import Detection, Part
+from spinpipe.stages.stage import Section, StageError
+
+
+@dataclass(frozen=True)
+class Test:
+    """One test that the candidate met, in the order in which it met them."""
+
+    stage: str
+    what: str
+    value: str
+    limit: str = ""
+    passed: bool | None = None
+    """``None`` where nothing was tested."""
+
+
+@dataclass(frozen=True)
+class PartRow:
+    """One part of the decision beside what a right instance gets, where the run recorded it."""
+
+    name: str
+    value: float
+    reference: float | None
+    merit: float | None
+    """What the part adds to the logarithm of the odds; negative speaks against."""
+    weight: float | None
+
+
+@dataclass(frozen=True)
+class Life:
+    """What happened to one candidate and what would have to differ."""
+
+    detection: Detection
+    tests: list[Test]
+    parts: list[PartRow]
+    winner: int | None
+    """Id of the detection that stands in the same place and won."""
+    remedies: list[str]
+
+
+def find_detection(detections: Sequence[Detection], number: int) -> Detection:
+    """The detection with an id.
+
+    Raises
+    ------
+    StageError
+        If there is none.
+    """
+    for d in detections:
+        if d.id == number:
+            return d
+    ids = sorted(d.id for d in detections)
+    known = f"ids go from {ids[0]} to {ids[-1]}" if ids else "the run has no candidates"
+    raise StageError(f"no candidate {number}: {known}")
+
+
+def life_of(d: Detection, read: ReadTopic, config: RunConfig) -> Life:
+    """Collect what the run's files say about one candidate."""
+    detections = read(DETECTIONS)
+    winner = winner_of(d, detections)
+    tests = [*_scan(d, read, config), *_registration(d, read)]
+    limits = list(limit_tests(d, config.stages["verify"]))
+    tests += limits
+    if winner is not None:
+        rival = find_detection(detections, winner)
+        value = f"candidate {winner} ({rival.model}, score {rival.score:.2f}) stands there"
+        tests.append(Test("verify", "place is free", value, "no better one", False))
+    parts = [part_row(part) for part in d.parts]
+    return Life(d, tests, parts, winner, _remedies(d, limits, winner))
+
+
+def winner_of(d: Detection, detections: Sequence[Detection]) -> int | None:
+    """Id of the kept detection whose body ``d`` gave way to, if it did."""
+    stated = getattr(d, "duplicate_of", -1)
+    if stated is not None and stated >= 0:
+        return int(stated)
+    if d.fate in ("accepted", "ambiguous") or f"{d.fate} {d.reason}".find("overlap") < 0:
+        return None
+    kept = [k for k in detections if k.fate in ("accepted", "ambiguous")]
+    if not kept:
+        return None
+    away = [float(np.hypot(*np.subtract(k.position_world, d.position_world)[:2])) for k in kept]
+    nearest = int(np.argmin(away))
+    return kept[nearest].id if away[nearest] < max(d.size_m) else None
+
+
+def part_row(part: Part) -> PartRow:
+    """A part as the run recorded it: older runs know its name and value only."""
+    given = {f.name: getattr(part, f.name) for f in dataclasses.fields(part)}
+    return PartRow(
+        str(given["name"]),
+        float(given["value"]),
+        *(None if given.get(k) is None else float(given[k]) for k in PART_FIELDS),
+    )
+
+
+PART_FIELDS = ("reference", "merit", "weight")
+NEARLY = 0.5
+"""A limit is offered for change where the value misses it by less than this factor."""
+
+
+def limit_tests(d: Detection, section: Section) -> list[Test]:
+    """Every ``min_x`` and ``max_x`` of the section beside the detection's number of that name."""
+    method = str(getattr(section, "method", ""))
+    tests: list[Test] = []
+    for key, field in type(section).model_fields.items():
+        kind, _, name = key.partition("_")
+        limit: Any = getattr(section, key)
+        if kind not in ("min", "max") or not isinstance(limit, int | float):
+            continue
+        meant_for = (field.description or "").partition(":")[0]
+        if (meant_for == "evidence" and method != "evidence") or (
+            meant_for == "ICP" and method == "evidence"
+        ):
+            continue
+        names = [f.name for f in dataclasses.fields(d)]
+        matching = [n for n in names if n == name] or [n for n in names if n.endswith(f"_{name}")]
+        for match in matching:
+            value = getattr(d, match)
+            if match == "alternative_margin" and not d.alternative:
+                continue
+            passed = value >= limit if kind == "min" else value <= limit
+            if not passed and (d.fate == "accepted" or any(t.passed is False for t in tests)):
+                passed = None  # does not apply to it, or was decided before
+            sign = "at least" if kind == "min" else "at most"
+            words = match.replace("_", " ")
+            tests.append(
+                Test("verify", words, f"{value:.3f}", f"{sign} {limit:g} (verify.{key})", passed)
+            )
+    return tests
+
+
+def _scan(d: Detection, read: ReadTopic, config: RunConfig) -> list[Test]:
+    cluster = next((c for c in read(CLUSTERS) if c.id == d.cluster), None)
+    if cluster is None:
+        return []
+    hits = next((h for h in read(HITS) if h.model == cluster.model), None)
+    image = next((i for i in read(SPIN_IMAGES) if i.model == cluster.model), None)
+    tests: list[Test] = []
+    if hits is not None and len(hits.correlation):
+        stated = getattr(config.stages["scan"], "min_correlation", None)
+        least = float(stated if stated is not None else hits.correlation.min())
+        chosen = "scan.min_correlation" if stated is not None else "the lowest hit of the run"
+        limit = f"at least {least:.2f} ({chosen})"
+        value = f"{cluster.correlation:.3f} with the spin image of {cluster.model}"
+        passed = cluster.correlation >= least - 1e-6
+        tests.append(Test("scan", "correlation", value, limit, passed))
+        if image is not None:
+            size = f"{image.radius_m:.2f} x {image.height_m:.2f} m, bins {image.bin_m:.2f} m"
+            tests.append(Test("scan", "spin image", size))
+    needed = getattr(config.stages["cluster"], "min_hits", None)
+    tests.append(
+        Test(
+            "cluster",
+            "hits in the group",
+            f"{cluster.hits} ({cluster.method})",
+            f"at least {needed or 1} (cluster.min_hits)",
+            cluster.hits >= (needed or 1),
+        )
+    )
+    x, y, z = cluster.position
+    tests.append(Test("cluster", "place, world", f"x {x:.2f}  y {y:.2f}  z {z:.2f} m"))
+    return tests
+
+
+def _registration(d: Detection, read: ReadTopic) -> list[Test]:
+    tests: list[Test] = []
+    trace = next((t for t in read(TRACES) if t.cluster == d.cluster), None)
+    if trace is not None:
+        steps = max(len(trace.poses) - 1, 1)
+        value = f"{len(trace.start_heading_deg)} starts as {d.model}, {steps} steps of the best"
+        tests.append(Test("verify", "registration", value))
+    moved = f"{d.rms_m:.3f} m over {d.inliers} points" if np.isfinite(d.rms_m) else "no points"
+    tests.append(Test("verify", "residual", moved))
+    if np.isfinite(d.runner_up_rms_m):
+        rival = f"{d.runner_up_heading_deg:.0f}°, residual {d.runner_up_rms_m:.3f} m"
+        tests.append(Test("verify", "runner-up heading", rival))
+    if d.alternative:
+        rival = f"{d.alternative}, {d.alternative_margin:.3f} behind"
+        tests.append(Test("verify", "next best model", rival))
+    seen = f"{d.coverage_model:.0%} of the model's visible surface seen, {d.observed:.0%} observed"
+    tests.append(Test("verify", "model in the scene", seen))
+    tests.append(Test("verify", "scene in the model", f"{d.coverage_scene:.0%} explained"))
+    return tests
+
+
+def deciding_part(d: Detection) -> PartRow | None:
+    """The part that speaks loudest against: by its merit, else as the reason names it."""
+    parts = [part_row(part) for part in d.parts]
+    if not parts:
+        return None
+    if all(part.merit is not None for part in parts):
+        return min(parts, key=lambda part: part.merit or 0.0)
+    named = [part for part in parts if f": {part.name} " in d.reason]
+    return min(named or parts, key=lambda part: part.value / (part.reference or 1.0))
+
+
+def _remedies(d: Detection, limits: Sequence[Test], winner: int | None) -> list[str]:
+    if d.fate == "accepted":
+        return []
+    if winner is not None:
+        return [f"nothing: candidate {winner} is the instance that stands here"]
+    failed = next((test for test in limits if test.passed is False), None)
+    if failed is None:
+        return [f"what made it {d.fate}: {d.reason}"]
+    limit, _, key = failed.limit.rstrip(")").partition(" (")
+    advice = [f"{failed.what} {failed.value} would have to be {limit}"]
+    worst = deciding_part(d)
+    if worst is not None:
+        against = "" if worst.reference is None else f" against {worst.reference:.2f} if right"
+        advice.append(f"what counts most against it: {worst.name} {worst.value:.2f}{against}")
+    value, wanted = float(failed.value), float(limit.rpartition(" ")[2])
+    if NEARLY * wanted <= value <= wanted / NEARLY:
+        advice.append(f"to see what else would pass with it: --set {key}={value:.3f}")
+    return advice
