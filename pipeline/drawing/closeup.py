@@ -32,7 +32,7 @@ from spinpipe.schemas.topics import Topic
 from spinpipe.stages.geometry.frames import to_world
 from spinpipe.stages.geometry.shapes import sample_surface
 from spinpipe.stages.geometry.world_cloud import WorldCloud
-from spinpipe.stages.scan.spin_image import SpinGrid, spin_image
+from spinpipe.stages.scan.image import SpinGrid, spin_image
 
 T = TypeVar("T")
 
