@@ -83,7 +83,7 @@ def run(
     """Run a config; what did not change since the last run is reused.
 
     Ends with 0 even if nothing was found (that is a result), with 1 if the input cannot be
-    worked on, with 2 if the config or the command is wrong, with 130 after Ctrl-C.
+    worked on, with 2 if the config or the command is wrong, with 129, 130 or 143 after a signal.
     """
     from spinpipe.pipeline.commands import run_command
 
@@ -333,11 +333,10 @@ def common(
 def main() -> None:
     """Run the command line; every error is one line on stderr and a non-zero exit code."""
     try:
-        app()
-    except SystemExit as stop:
-        if stop.code == 130:  # typer makes Ctrl-C an exit without a word
-            sys.stderr.write("spinpipe: interrupted; run it again to go on\n")
-        raise
+        try:
+            app()
+        finally:
+            sys.stdout.flush()  # here, where its errors are told
     except Exception as error:
         from spinpipe.pipeline.errors import describe
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import traceback
 
@@ -13,6 +14,11 @@ INPUT_ERROR = 1
 USAGE_ERROR = 2
 INTERNAL_ERROR = 70
 """EX_SOFTWARE of sysexits.h: a mistake of spinpipe itself."""
+_MENDS = {
+    errno.ENOSPC: "; free some and run again, what is complete stays",
+    errno.EDQUOT: "; free some and run again, what is complete stays",
+    errno.ELOOP: "; links that lead to each other, name the file itself",
+}
 
 
 def describe(error: BaseException) -> tuple[str, int]:
@@ -27,7 +33,8 @@ def describe(error: BaseException) -> tuple[str, int]:
     if isinstance(error, MemoryError):
         return "out of memory: lower execution.memory_gb or record.preview_points", INPUT_ERROR
     if isinstance(error, OSError):
-        return f"{error.filename or 'input/output'}: {error.strerror or error}", INPUT_ERROR
+        mend = _MENDS.get(error.errno or 0, "")
+        return f"{error.filename or 'input/output'}: {error.strerror or error}{mend}", INPUT_ERROR
     if os.environ.get("SPINPIPE_TRACEBACK"):
         return "".join(traceback.format_exception(error)), INTERNAL_ERROR
     text = " ".join(str(error).split())

@@ -26,6 +26,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import register_schema
 
+from spinpipe.pipeline.atomic import naming
 from spinpipe.schemas.topics import Topic
 
 T = TypeVar("T")
@@ -80,30 +81,33 @@ class StageFileWriter:
         if first + count != self._next:
             raise ValueError(f"{topic.name}: messages of a topic must be written together")
         time = EPOCH_NS + self._next
-        self._writer.add_message(
-            channel_id=self._channels[topic.name],
-            log_time=time,
-            publish_time=time,
-            data=data,
-            sequence=count,
-        )
+        with naming(self._path):
+            self._writer.add_message(
+                channel_id=self._channels[topic.name],
+                log_time=time,
+                publish_time=time,
+                data=data,
+                sequence=count,
+            )
+            self._stream.flush()  # what is written survives a kill: see recover()
         self._topics[topic.name][1] += 1
         self._next += 1
-        self._stream.flush()  # what is written survives a kill: see recover()
 
     def close(self, metadata: dict[str, str]) -> None:
         """Write the index, flush to disk and read everything back against its checksums."""
         self._writer.add_metadata("topics", {n: json.dumps(t) for n, t in self._topics.items()})
         self._writer.add_metadata("result", metadata)
-        self._writer.finish()
-        self._stream.flush()
-        os.fsync(self._stream.fileno())
-        self._stream.close()
+        with naming(self._path):
+            self._writer.finish()
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
+            self._stream.close()
         require_whole(self._path)
 
     def abandon(self) -> None:
         """Close the file as it is: incomplete."""
-        self._stream.close()
+        with suppress(OSError):  # a full disk has been told of already
+            self._stream.close()
 
 
 def check(path: Path) -> None:

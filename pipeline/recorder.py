@@ -6,7 +6,7 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 
-from spinpipe.pipeline.atomic import commit
+from spinpipe.pipeline.atomic import commit, partial_file
 from spinpipe.pipeline.context import RunReader
 from spinpipe.pipeline.drawing.recording import (
     RecordMode,
@@ -36,24 +36,23 @@ def recorder(
     if mode == "save" and keep and path.exists():
         mode = "off"
 
-    partial = path.with_name(path.name + ".partial")
-    recording = open_recording(run, mode, partial)
-    if recording is None:
-        yield _draw_nothing
-        return
-    drawn: list[str] = []
+    with partial_file(path) as partial:
+        recording = open_recording(run, mode, partial)
+        if recording is None:
+            yield _draw_nothing
+            return
+        drawn: list[str] = []
 
-    def draw(stage: str, read: RunReader) -> None:
-        record_stage(stage, read, recording, preview_points)
-        drawn.append(stage)
+        def draw(stage: str, read: RunReader) -> None:
+            record_stage(stage, read, recording, preview_points)
+            drawn.append(stage)
 
-    try:
-        yield draw
-    finally:
-        close_recording(recording)
-        if drawn:
-            commit(partial, path)
-        partial.unlink(missing_ok=True)
+        try:
+            yield draw
+        finally:
+            close_recording(recording)
+            if drawn:
+                commit(partial, path)
 
 
 def _draw_nothing(_stage: str, _read: RunReader) -> None:

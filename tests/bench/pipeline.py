@@ -63,7 +63,7 @@ def write_scene(path: Path, blocks: int) -> int:
 
 def run(config: Path, folder: Path) -> tuple[float, float]:
     """Wall seconds and peak resident gigabytes of one run."""
-    command = [sys.executable, "-c", "from spinpipe.pipeline.cli import main; main()"]
+    command = [sys.executable, "-c", "from spinpipe.pipeline.entry import main; main()"]
     command += ["run", str(config), "--output", str(folder)]
     began = time.perf_counter()
     process = subprocess.Popen(command)

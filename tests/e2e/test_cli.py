@@ -413,7 +413,7 @@ def test_the_table_fits_eighty_columns(demo: tuple[Outcome, Path]) -> None:
     assert max(len(line.rstrip()) for line in lines) <= 80
 
 
-RUN = "from spinpipe.pipeline.cli import main; main()"
+RUN = "from spinpipe.pipeline.entry import main; main()"
 
 
 def cpu_seconds(arguments: list[str | Path], cwd: Path, code: str = RUN) -> float:

@@ -416,7 +416,7 @@ def heed_ctrl_c() -> None:
 def start(run: YardRun) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [
-            *(sys.executable, "-c", "from spinpipe.pipeline.cli import main; main()"),
+            *(sys.executable, "-c", "from spinpipe.pipeline.entry import main; main()"),
             *("run", str(run.config), "--rerun", "off", "-o", str(run.output)),
         ],
         stdout=subprocess.PIPE,

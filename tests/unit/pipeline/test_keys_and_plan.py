@@ -96,7 +96,7 @@ def test_a_changed_constant_runs_the_stage_again(finished_yard: YardRun, tmp_pat
     text = suppression.read_text()
 
     def plan_lines() -> list[str]:
-        command = "from spinpipe.pipeline.cli import main; main()"
+        command = "from spinpipe.pipeline.entry import main; main()"
         done = subprocess.run(
             [
                 sys.executable,
