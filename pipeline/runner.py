@@ -26,7 +26,7 @@ from spinpipe.pipeline.progress import stage_progress
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.stages.stage import StageError
 
-LIBRARIES = ("spinpipe", "numpy", "scipy", "numba", "mcap", "rerun-sdk", "pycolmap", "kiss-icp")
+LIBRARIES = ("spinpipe", "numpy", "scipy", "numba", "mcap", "rerun-sdk", "pyproj", "kiss-icp")
 
 
 @dataclass

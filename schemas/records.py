@@ -49,14 +49,37 @@ class SceneFrame:
 
     origin: Vector
     """In scene coordinates."""
-    scale: float
-    """Metres per unit of the scene."""
+    scale: Vector
+    """Metres per unit of the scene, along x, y and z."""
     points: int
     dropped: int
     """Points left out because a coordinate is not finite."""
     coloured: bool
     source: str
     """Name of the imported file or folder."""
+    strays: int = 0
+    """Points left out because they lie far from everything else."""
+    duplicates: int = 0
+    """Points left out because another one has the same coordinates."""
+    kind: str = ""
+    """Format and dialect."""
+    crs: str = ""
+    """Coordinate reference system, ``EPSG:...`` or WKT; empty where the file names none."""
+    up: tuple[float, ...] = ()
+    """Which way is up by the file's format or coordinate system, scene frame; empty if unsaid."""
+    up_reason: str = ""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """How a camera maps directions to pixels, in COLMAP's words."""
+
+    model: str
+    """COLMAP's name of the camera model, such as ``OPENCV``."""
+    width: int
+    height: int
+    params: tuple[float, ...]
+    """Of that model, in COLMAP's order, pixels."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +90,10 @@ class Cameras:
     """(C, 3) metres, local frame."""
     quaternions_xyzw: F64
     """(C, 4) rotation camera -> local; a camera looks along its +z, its -y is up."""
+    names: tuple[str, ...] = ()
+    """(C,) of the photos; empty where they have none."""
+    lenses: tuple[Lens, ...] = ()
+    """(C,) of the photos; empty where they are not known."""
 
 
 @dataclass(frozen=True)

@@ -17,20 +17,32 @@ class Array(_message.Message):
     def __init__(self, dtype: _Optional[str] = ..., shape: _Optional[_Iterable[int]] = ..., data: _Optional[bytes] = ...) -> None: ...
 
 class SceneFrame(_message.Message):
-    __slots__ = ("origin", "scale", "points", "dropped", "coloured", "source")
+    __slots__ = ("origin", "scale", "points", "dropped", "coloured", "source", "strays", "duplicates", "kind", "crs", "up", "up_reason")
     ORIGIN_FIELD_NUMBER: _ClassVar[int]
     SCALE_FIELD_NUMBER: _ClassVar[int]
     POINTS_FIELD_NUMBER: _ClassVar[int]
     DROPPED_FIELD_NUMBER: _ClassVar[int]
     COLOURED_FIELD_NUMBER: _ClassVar[int]
     SOURCE_FIELD_NUMBER: _ClassVar[int]
+    STRAYS_FIELD_NUMBER: _ClassVar[int]
+    DUPLICATES_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    CRS_FIELD_NUMBER: _ClassVar[int]
+    UP_FIELD_NUMBER: _ClassVar[int]
+    UP_REASON_FIELD_NUMBER: _ClassVar[int]
     origin: _containers.RepeatedScalarFieldContainer[float]
-    scale: float
+    scale: _containers.RepeatedScalarFieldContainer[float]
     points: int
     dropped: int
     coloured: bool
     source: str
-    def __init__(self, origin: _Optional[_Iterable[float]] = ..., scale: _Optional[float] = ..., points: _Optional[int] = ..., dropped: _Optional[int] = ..., coloured: bool = ..., source: _Optional[str] = ...) -> None: ...
+    strays: int
+    duplicates: int
+    kind: str
+    crs: str
+    up: _containers.RepeatedScalarFieldContainer[float]
+    up_reason: str
+    def __init__(self, origin: _Optional[_Iterable[float]] = ..., scale: _Optional[_Iterable[float]] = ..., points: _Optional[int] = ..., dropped: _Optional[int] = ..., coloured: bool = ..., source: _Optional[str] = ..., strays: _Optional[int] = ..., duplicates: _Optional[int] = ..., kind: _Optional[str] = ..., crs: _Optional[str] = ..., up: _Optional[_Iterable[float]] = ..., up_reason: _Optional[str] = ...) -> None: ...
 
 class TileIndex(_message.Message):
     __slots__ = ("low", "high", "counts")

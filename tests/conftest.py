@@ -198,6 +198,12 @@ def yard_run(finished_yard: YardRun, tmp_path: Path) -> YardRun:
 
 
 @pytest.fixture(scope="session")
+def shared_cases(shared_data: Path) -> Path:
+    """Folder of small inputs that fail elsewhere; skips where there is none."""
+    return shared_data.parent / "cases"
+
+
+@pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Folder of the real data, which is not part of the project; skips where there is none."""
     data = Path(__file__).parents[2] / "shared" / "data"

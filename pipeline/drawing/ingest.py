@@ -85,12 +85,22 @@ def _summary(
 ) -> str:
     extent = tiles.high.max(axis=0) - tiles.low.min(axis=0)
     origin = ", ".join(f"{value:.3f}" for value in scene.origin)
+    scale = " x ".join(f"{value:g}" for value in dict.fromkeys(scene.scale))
     lines = [
         f"## Ingest: {scene.source}",
-        f"- {scene.points:,} points in {len(tiles.counts)} tiles"
-        + (f", {scene.dropped:,} without finite coordinates left out" if scene.dropped else ""),
+        f"- {scene.points:,} points in {len(tiles.counts)} tiles",
+        *(
+            f"- left out: {count:,} {what}"
+            for count, what in (
+                (scene.dropped, "without finite coordinates"),
+                (scene.strays, "far from all others"),
+                (scene.duplicates, "that repeat another"),
+            )
+            if count
+        ),
         "- extent " + " x ".join(f"{length:.1f}" for length in extent) + " m",
-        f"- origin ({origin}) in scene coordinates, {scene.scale:g} m a unit",
+        f"- origin ({origin}) in scene coordinates, {scale} m a unit"
+        + (f", {scene.crs if len(scene.crs) < 20 else 'with WKT'}" if scene.crs else ""),
         f"- {cameras} cameras" if cameras else "- no cameras",
         "",
         "| model | length m | width m | height m | points | visible from |",

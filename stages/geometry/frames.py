@@ -11,9 +11,9 @@ from spinpipe.schemas.records import F32, F64, SceneFrame, Upright, Vector
 
 
 def local_from_scene(frame: SceneFrame) -> F64:
-    """(4, 4) similarity T_local_scene: ``local = (scene - origin) * scale``."""
-    T = np.diag([frame.scale, frame.scale, frame.scale, 1.0])
-    T[:3, 3] = -frame.scale * np.asarray(frame.origin)
+    """(4, 4) T_local_scene: ``local = (scene - origin) * scale``, similar if z has x's unit."""
+    T = np.diag([*frame.scale, 1.0])
+    T[:3, 3] = -np.asarray(frame.scale) * np.asarray(frame.origin)
     return T
 
 

@@ -51,6 +51,28 @@ def sample_surface(
     ValueError
         When the mesh has no face with an area.
     """
+    draw = draw_on_faces(vertices, faces, count, rng)
+    return draw.points, draw.normals
+
+
+class SurfaceDraw(NamedTuple):
+    """Points drawn from a mesh, and where on it they lie."""
+
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    face: NDArray[np.int64]
+    """(count,) rows of ``faces``."""
+    weights: NDArray[np.float64]
+    """(count, 3) barycentric coordinates in them."""
+
+
+def draw_on_faces(
+    vertices: NDArray[np.floating],
+    faces: NDArray[np.integer],
+    count: int,
+    rng: np.random.Generator,
+) -> SurfaceDraw:
+    """``sample_surface``, and where on the mesh each point lies."""
     areas, unit_normals = face_areas_and_normals(vertices, faces)
     cumulative: NDArray[np.float64] = np.cumsum(areas)
     if not len(cumulative) or not cumulative[-1] > 0:
@@ -61,8 +83,9 @@ def sample_surface(
     picked = np.minimum(picked, np.flatnonzero(areas)[-1])
     root, along = np.sqrt(draws[:, 1:2]), draws[:, 2:3]
     a, b, c = (np.asarray(vertices, np.float64)[faces[picked, corner]] for corner in range(3))
-    points = (1 - root) * a + root * (1 - along) * b + root * along * c
-    return points, unit_normals[picked]
+    weights = np.hstack([1 - root, root * (1 - along), root * along])
+    points = weights[:, :1] * a + weights[:, 1:2] * b + weights[:, 2:] * c
+    return SurfaceDraw(points, unit_normals[picked], picked, weights)
 
 
 def face_areas_and_normals(

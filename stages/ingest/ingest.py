@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -12,18 +11,18 @@ from spinpipe.schemas import CAMERAS, CLOUD, MODELS, SCENE, TILES
 from spinpipe.schemas.records import (
     F32,
     F64,
-    U8,
-    Cameras,
     CloudTile,
     ObjectModel,
     SceneFrame,
     TileIndex,
 )
 from spinpipe.stages.ingest.object_model import ModelConfig, load_model
+from spinpipe.stages.ingest.open_scene import open_scene
 from spinpipe.stages.ingest.scatter_file import ScatterFile
-from spinpipe.stages.ingest.scene_source import SceneSource, open_scene
-from spinpipe.stages.ingest.tiling import POINT, HashSample, kd_split, tiles_of
-from spinpipe.stages.stage import Context, InputPath, Progress, Section, StageError
+from spinpipe.stages.ingest.scene_source import SceneSource
+from spinpipe.stages.ingest.survey import Survey, finite, left_out, survey, within
+from spinpipe.stages.ingest.tiling import POINT, kd_split, tiles_of
+from spinpipe.stages.stage import Context, InputPath, Section, StageError
 
 _BYTES_A_POINT = 1000
 """Generous upper bound of the memory that one point of a chunk takes on its way."""
@@ -34,14 +33,16 @@ class Ingest:
     """Read the scene twice: once to measure it, once to sort its points into tiles."""
 
     name = "ingest"
-    version = 2
+    version = 3
     inputs = ()
     outputs = (CLOUD, TILES, SCENE, MODELS, CAMERAS)
 
     class Config(Section):
         """``[ingest]``, and the ``[[model]]`` sections."""
 
-        scene: InputPath = Field(description="PLY, LAS or LAZ file, or folder of a COLMAP model")
+        scene: InputPath = Field(
+            description="cloud or mesh in any common format, or folder of a COLMAP model"
+        )
         scale: float = Field(default=1.0, gt=0, description="metres per unit of the scene")
         tile_points: int = Field(
             default=262_144, ge=1024, le=1_048_576, description="most points of a tile"
@@ -60,74 +61,39 @@ class Ingest:
     def run(self, ctx: Context[Config]) -> None:
         """Write the cloud's tiles, then their index, the scene's frame, the models, the cameras."""
         config = ctx.config
-        models = [load_model(model, ctx.rng) for model in config.models]
+        models = [load_model(model, ctx.rng, ctx.log) for model in config.models]
         source = open_scene(config.scene)
-        extent = _measure(source, ctx)
-        if extent.dropped:
-            ctx.log(f"left out {extent.dropped:,} points whose coordinates are not finite")
+        progress = ctx.progress("points read", source.points)
+        found = survey(source, str(config.scene), _chunk_points(ctx.memory_bytes), progress)
+        for note in (*source.about.notes, *left_out(found)):
+            ctx.log(note)
         frame = SceneFrame(
-            origin=extent.origin,
-            scale=config.scale,
-            points=extent.points,
-            dropped=extent.dropped,
+            origin=found.origin,
+            scale=(config.scale, config.scale, config.scale),
+            points=found.points - found.strays,
+            dropped=found.dropped,
             coloured=source.coloured,
             source=config.scene.name,
+            strays=found.strays,
+            kind=source.about.kind,
+            crs=source.about.coordinates.crs,
+            up=source.about.up or (),
+            up_reason=source.about.up_reason,
         )
-        _require_room(models, extent, config.scale)
-        ctx.write(TILES, _write_tiles(source, frame, extent.sample, ctx))
+        _require_room(models, found, config.scale)
+        index = _write_tiles(source, frame, found, ctx)
+        points = int(index.counts.sum())
+        if points < frame.points:
+            ctx.log(f"{frame.points - points:,} points repeat another one: counted once")
+        frame = replace(frame, points=points, duplicates=frame.points - points)
+        ctx.write(TILES, index)
         ctx.write(SCENE, frame)
         for model in models:
             ctx.write(MODELS, model)
-        if source.cameras is not None:
-            positions, quaternions_xyzw = source.cameras
-            local = (positions - np.array(frame.origin)) * frame.scale
-            ctx.write(CAMERAS, Cameras(local, quaternions_xyzw))
-
-
-@dataclass(frozen=True)
-class _Extent:
-    """What the first pass finds out, in the scene frame."""
-
-    points: int
-    dropped: int
-    low: F64
-    high: F64
-    sample: F64
-
-    @property
-    def origin(self) -> tuple[float, float, float]:
-        """Median of the sample in whole units: far outliers do not cost precision."""
-        middle = np.median(self.sample, axis=0) if len(self.sample) else self.low
-        x, y, z = (np.rint(middle) + 0.0).tolist()
-        return x, y, z
-
-
-def _measure(source: SceneSource, ctx: Context[Ingest.Config]) -> _Extent:
-    path = ctx.config.scene
-    sample = HashSample(_chunk_points(ctx.memory_bytes))
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    points = 0
-    for xyz, _ in _finite(source, ctx.memory_bytes, ctx.progress("points read", source.points)):
-        points += len(xyz)
-        if len(xyz):
-            low, high = np.minimum(low, xyz.min(axis=0)), np.maximum(high, xyz.max(axis=0))
-            sample.add(xyz)
-    if not source.points:
-        raise StageError(f"{path}: the cloud is empty; export it again")
-    if not points:
-        raise StageError(
-            f"{path}: none of its {source.points:,} points has finite coordinates; export it again"
-        )
-    return _Extent(points, source.points - points, low, high, sample.points)
-
-
-def _finite(source: SceneSource, memory: int, progress: Progress) -> Iterator[tuple[F64, U8]]:
-    """Chunks without the points that float32 cannot hold; counts all of them as done."""
-    for xyz, rgb in source.chunks(_chunk_points(memory)):
-        with np.errstate(over="ignore"):
-            finite = np.isfinite(xyz.astype(np.float32)).all(axis=1)
-        yield (xyz, rgb) if finite.all() else (xyz[finite], rgb[finite])
-        progress.advance(len(xyz))
+        cameras = source.about.cameras
+        if cameras is not None:
+            local = (cameras.positions - np.array(frame.origin)) * np.array(frame.scale)
+            ctx.write(CAMERAS, replace(cameras, positions=local))
 
 
 def _chunk_points(memory: int) -> int:
@@ -135,17 +101,21 @@ def _chunk_points(memory: int) -> int:
 
 
 def _write_tiles(
-    source: SceneSource, frame: SceneFrame, sample: F64, ctx: Context[Ingest.Config]
+    source: SceneSource, frame: SceneFrame, found: Survey, ctx: Context[Ingest.Config]
 ) -> TileIndex:
     """Second pass: scatter the points to the leaves of a k-d split, then write leaf by leaf."""
     most = ctx.config.tile_points
-    split = kd_split(_local(sample, frame), frame.points, most)
+    split = kd_split(_local(found.sample, frame), frame.points, most)
     low: list[F32] = []
     high: list[F32] = []
     counts: list[int] = []
     with ScatterFile(ctx.scratch / "points", split.leaves) as scatter:
         sorting = ctx.progress("points sorted", source.points)
-        for xyz, rgb in _finite(source, ctx.memory_bytes, sorting):
+        for xyz, rgb, count in finite(source, _chunk_points(ctx.memory_bytes)):
+            sorting.advance(count)
+            if frame.strays:
+                kept = within(xyz, found.keep_low, found.keep_high)
+                xyz, rgb = xyz[kept], rgb[kept]
             points = np.empty(len(xyz), POINT)
             points["xyz"], points["rgb"] = _local(xyz, frame), rgb
             scatter.append(points, split.leaf_of(points["xyz"]))
@@ -165,12 +135,13 @@ def _write_tiles(
 
 def _local(xyz: F64, frame: SceneFrame) -> F32:
     """Scene -> local frame; adding 0 turns -0.0 into 0.0, so that equal points are equal bits."""
-    return ((xyz - np.array(frame.origin)) * frame.scale).astype(np.float32) + np.float32(0)
+    local = (xyz - np.array(frame.origin)) * np.array(frame.scale)
+    return local.astype(np.float32) + np.float32(0)
 
 
-def _require_room(models: list[ObjectModel], extent: _Extent, scale: float) -> None:
+def _require_room(models: list[ObjectModel], found: Survey, scale: float) -> None:
     """Refuse a model that is wider than the whole scene: one of the scales must be wrong."""
-    scene_m = float((extent.high - extent.low).max()) * scale
+    scene_m = float((found.high - found.low).max()) * scale
     for model in models:
         surface = model.vertices if len(model.vertices) else model.points
         model_m = float(np.ptp(surface[:, :2], axis=0).max())

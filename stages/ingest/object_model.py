@@ -1,12 +1,9 @@
 """Models of objects: read a mesh or a cloud, set it upright, sample the surface that is visible."""
 
-# trimesh's types are incomplete
-# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
-
 from __future__ import annotations
 
 import re
-from pathlib import Path
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -15,16 +12,9 @@ from pydantic import Field, field_validator, model_validator
 from spinpipe.schemas.records import F64, ObjectModel
 from spinpipe.stages.geometry.seen_from_above import sample_seen, seen_from_above, seen_from_around
 from spinpipe.stages.geometry.shapes import Mesh, face_areas_and_normals, transform
-from spinpipe.stages.ingest.read_ply import read_header
-from spinpipe.stages.ingest.scene_source import open_scene
+from spinpipe.stages.ingest.model_file import Axis, ModelFile, open_model
 from spinpipe.stages.ingest.vehicles import VEHICLES, vehicle_mesh
 from spinpipe.stages.stage import InputPath, Section, StageError
-
-Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
-
-_MESHES = (".obj", ".stl", ".ply", ".glb", ".gltf", ".off")
-_CLOUDS = (".ply", ".las", ".laz")
-_CHUNK = 1 << 18
 
 
 class ModelConfig(Section):
@@ -32,7 +22,8 @@ class ModelConfig(Section):
 
     name: str = Field(description="name of the object: letters, digits, '_', '-' and '.'")
     path: InputPath | None = Field(
-        default=None, description="mesh (OBJ, STL, PLY, GLB, OFF) or cloud (PLY, LAS)"
+        default=None,
+        description="mesh (OBJ, STL, PLY, GLB, OFF, DAE), or cloud in any format of scenes",
     )
     shape: Literal["", *VEHICLES] = Field(  # pyright: ignore[reportInvalidTypeForm]
         default="", description=f"instead of a path a shape that ships: {', '.join(VEHICLES)}"
@@ -42,9 +33,14 @@ class ModelConfig(Section):
         description="which part of a mesh the photos show: all of it or what lies open above",
     )
     scale: float = Field(default=1.0, gt=0, description="metres per unit of the file")
-    up: Axis = Field(default="z", description="axis of the file that points up")
-    forward: Axis = Field(
-        default="x", description="axis of the file that points forward: heading 0"
+    up: Axis | None = Field(
+        default=None,
+        description="axis of the file that points up; none: y for glTF, else z or y, whichever "
+        "stands more plausibly",
+    )
+    forward: Axis | None = Field(
+        default=None,
+        description="axis of the file that points forward, heading 0; none: z for glTF, else x",
     )
     samples: int = Field(
         default=25_000, ge=100, le=5_000_000, description="points drawn from a mesh"
@@ -68,7 +64,7 @@ class ModelConfig(Section):
 
     @model_validator(mode="after")
     def _not_parallel(self) -> ModelConfig:
-        if self.up[-1] == self.forward[-1]:
+        if self.up and self.forward and self.up[-1] == self.forward[-1]:
             raise ValueError(
                 f"up = '{self.up}' and forward = '{self.forward}' lie along one axis; "
                 "set forward to another"
@@ -76,46 +72,42 @@ class ModelConfig(Section):
         return self
 
 
-def load_model(config: ModelConfig, rng: np.random.Generator) -> ObjectModel:
+def load_model(
+    config: ModelConfig,
+    rng: np.random.Generator,
+    log: Callable[[str], None] = lambda _: None,
+) -> ObjectModel:
     """Read or make an object's model and bring it to the object frame.
 
     A mesh is sampled uniformly by area where it shows from around; with ``visible_from = "above"``
     only where the surface lies open to a sensor that looks straight down [Bovenkamp 2010, section
     3.2]. Of a cloud all points stay: it already is what a sensor saw.
 
+    Parameters
+    ----------
+    config : the ``[[model]]`` section.
+    rng : draws the samples.
+    log : told what the user should look at.
+
     Raises
     ------
     StageError
         When the file is missing, unreadable, empty, without area, or holds NaN.
     """
-    where = f"[[model]] '{config.name}': {config.path or config.shape}"
-    if config.path is None:
-        mesh = Mesh(*vehicle_mesh(config.shape))
-        corners = mesh.vertices
+    where = f"[[model]] '{config.name}': {config.path}"
+    file = read_model(config)
+    if file.doubt:
+        log(f"model '{config.name}': {file.doubt}")
+    T_object_model = _object_from_model(file, config.scale)
+    points = transform(T_object_model, file.corners)
+    if file.faces is None:
+        samples, normals = points, np.zeros(points.shape)
+        upright = Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
     else:
-        if not config.path.is_file():
-            raise StageError(f"{where}: no such file; correct the model's path")
-        mesh = _read_mesh(config.path, where)
-        corners = mesh.vertices if mesh else _read_cloud(config.path, where)
-    if not np.isfinite(corners).all():
-        raise StageError(f"{where}: holds coordinates that are not finite; repair the model")
-    T_object_model = _object_from_model(corners, config)
-    points = transform(T_object_model, corners)
-    if mesh is None:
-        return ObjectModel(
-            name=config.name,
-            points=points.astype(np.float32),
-            normals=np.zeros((len(points), 3), np.float32),
-            vertices=np.empty((0, 3), np.float32),
-            faces=np.empty((0, 3), np.int32),
-            T_object_model=T_object_model,
-            visible_from=config.visible_from,
-            stretch=config.stretch,
-        )
-    upright = Mesh(points, mesh.faces)
-    if not face_areas_and_normals(*upright)[0].sum() > 0:
-        raise StageError(f"{where}: its faces have no area; give a mesh with a surface")
-    samples, normals = _sample_visible(upright, config, rng)
+        upright = Mesh(points, file.faces)
+        if not face_areas_and_normals(*upright)[0].sum() > 0:
+            raise StageError(f"{where}: its faces have no area; give a mesh with a surface")
+        samples, normals = _sample_visible(upright, config, rng)
     return ObjectModel(
         name=config.name,
         points=samples.astype(np.float32),
@@ -128,46 +120,28 @@ def load_model(config: ModelConfig, rng: np.random.Generator) -> ObjectModel:
     )
 
 
-def _read_mesh(path: Path, where: str) -> Mesh | None:
-    """All faces of the file in one mesh; None where the file is a cloud."""
-    suffix = path.suffix.lower()
-    if suffix not in _MESHES:
-        if suffix in _CLOUDS:
-            return None
-        known = ", ".join(dict.fromkeys(_MESHES + _CLOUDS))
-        raise StageError(f"{where}: cannot read '{suffix}' files as a model; give one of {known}")
-    if suffix == ".ply" and not read_header(path).count("face"):
-        return None
-    import trimesh  # heavy: only where needed
+def read_model(config: ModelConfig) -> ModelFile:
+    """The file or the shape of a ``[[model]]``.
 
+    Raises
+    ------
+    StageError
+        As ``open_model``; the message names the model.
+    """
+    if config.path is None:
+        return ModelFile("shape that ships", *vehicle_mesh(config.shape), "z", "x", "as it ships")
     try:
-        scene = trimesh.load_scene(path, process=False, skip_materials=True)
-        mesh = scene.to_mesh()
-    except Exception as error:  # trimesh's loaders raise many kinds
-        raise StageError(
-            f"{where}: cannot read the mesh ({' '.join(str(error).split())}); export it again"
-        ) from error
-    faces = np.asarray(mesh.faces, np.int64).reshape(-1, 3)
-    if not len(faces):
-        raise StageError(f"{where}: has no faces; give a mesh, or a cloud as PLY")
-    used, compact = np.unique(faces, return_inverse=True)
-    return Mesh(np.asarray(mesh.vertices, np.float64)[used], compact.reshape(-1, 3))
+        return open_model(config.path, config.up, config.forward)
+    except StageError as error:
+        raise StageError(f"[[model]] '{config.name}': {error}") from error
 
 
-def _read_cloud(path: Path, where: str) -> F64:
-    chunks = [xyz for xyz, _ in open_scene(path).chunks(_CHUNK)]
-    points = np.concatenate([np.empty((0, 3)), *chunks])
-    if len(points) < 3:
-        raise StageError(f"{where}: has neither faces nor enough points; give a mesh or a cloud")
-    return points
-
-
-def _object_from_model(points: F64, config: ModelConfig) -> F64:
+def _object_from_model(file: ModelFile, scale: float) -> F64:
     """Similarity T_object_model: metres, upright, base centre at the origin."""
-    up, forward = _direction(config.up), _direction(config.forward)
+    up, forward = _direction(file.up), _direction(file.forward)
     T = np.eye(4)
-    T[:3, :3] = config.scale * np.stack([forward, np.cross(up, forward), up])
-    turned = transform(T, points)
+    T[:3, :3] = scale * np.stack([forward, np.cross(up, forward), up])
+    turned = transform(T, file.corners)
     low, high = turned.min(axis=0), turned.max(axis=0)
     T[:3, 3] = -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
     return T

@@ -77,10 +77,10 @@ class PlyHeader:
     """Whether the data are ascii."""
     data_offset: int
     """Byte at which the data begin."""
-
-    def count(self, element: str) -> int:
-        """Rows of an element, 0 where there is none of that name."""
-        return next((e.count for e in self.elements if e.name == element), 0)
+    comments: tuple[str, ...] = ()
+    """Lines ``comment`` and ``obj_info``."""
+    encoding: str = "ascii"
+    """As the format line calls it."""
 
 
 def parse_header(head: bytes) -> PlyHeader:
@@ -105,12 +105,15 @@ def parse_header(head: bytes) -> PlyHeader:
     lines = head[first.end() : last.start()].decode("utf-8", "backslashreplace")
     order: str | None = None
     tables: dict[str, tuple[int, dict[str, PlyProperty]]] = {}
+    comments: list[str] = []
     for number, line in enumerate(lines.split(first[1].decode()), start=2):
         words = line.split()
         try:
-            if not words or words[0] in ("comment", "obj_info"):
+            if not words:
                 continue
-            if order is None:
+            if words[0] in ("comment", "obj_info"):
+                comments.append(line.partition(words[0])[2].strip())
+            elif order is None:
                 order = _byte_order(words)
             elif words[0] == "element":
                 name, count = _element(words)
@@ -125,11 +128,12 @@ def parse_header(head: bytes) -> PlyHeader:
             raise ValueError(f"broken PLY header, line {number} '{text}': {error}") from None
     if order is None:
         raise ValueError("broken PLY header: no 'format' line")
+    encoding = next(name for name, sign in _BYTE_ORDERS.items() if sign == order).replace("_", " ")
     elements = tuple(
         PlyElement(name, count, tuple(properties.values()))
         for name, (count, properties) in tables.items()
     )
-    return PlyHeader(elements, order == "=", last.end())
+    return PlyHeader(elements, order == "=", last.end(), tuple(comments), encoding)
 
 
 def _byte_order(words: list[str]) -> str:

@@ -89,7 +89,7 @@ def _walk(
                     shift = 8 * (count_size - 1 - byte if big_endian else byte)
                     items |= np.int64(block[end + byte]) << shift
                 end += count_size
-            if end + items * size > len(block):
+            if items < 0 or items > (len(block) - end) // size:  # a product might overflow
                 return row, used
             target = targets[column]
             if target >= 0:

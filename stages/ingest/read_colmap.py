@@ -1,20 +1,49 @@
-"""COLMAP models: the folder with points3D, images and cameras, binary or text."""
+"""COLMAP models: the folder with points3D, images and cameras, binary or text.
+
+The files are read here and not by COLMAP itself, which hangs on damaged ones and wants all of
+them; the formats are those of its documentation [colmap.github.io/format.html]. Newer models have
+files for rigs and frames beside them; the images still hold their own poses.
+"""
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from spinpipe.schemas.records import F64, U8
+from spinpipe.schemas.records import Cameras, Lens
+from spinpipe.stages.ingest.packed_points import xyz_of
+from spinpipe.stages.ingest.ply_lists import ListRows
+from spinpipe.stages.ingest.read_sfm import camera_poses
+from spinpipe.stages.ingest.scene_source import About, Chunk
 from spinpipe.stages.stage import StageError
 
-_FILES = ("points3D.bin", "points3D.txt")
+_LENSES = {
+    0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5),
+    4: ("OPENCV", 8), 5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12), 7: ("FOV", 5),
+    8: ("SIMPLE_RADIAL_FISHEYE", 4), 9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12),
+    11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16), 12: ("SIMPLE_DIVISION", 4), 13: ("DIVISION", 5),
+    14: ("SIMPLE_FISHEYE", 3), 15: ("FISHEYE", 4), 16: ("EUCM", 6), 17: ("EQUIRECTANGULAR", 2),
+}  # fmt: skip
+"""Name and number of parameters of each camera model [COLMAP 4.2, sensor/models.h]."""
+
+_POINT = [(None, "<u8"), *[(None, "<f8")] * 3, *[(None, "<u1")] * 3, (None, "<f8"), ("<u8", "<u8")]
+"""A point of points3D.bin: id, x, y, z, colour, error, and pairs of 32-bit numbers: where seen."""
+_SUFFIXES = (".bin", ".txt")
+_NAMES = ("x", "y", "z", "red", "green", "blue")
 
 
 class ColmapSource:
     """The points of a COLMAP model and where its photos were taken.
+
+    Parameters
+    ----------
+    path : the folder, or its points3D file.
 
     Raises
     ------
@@ -24,46 +53,174 @@ class ColmapSource:
 
     coloured = True
 
-    def __init__(self, folder: Path) -> None:
-        if not _is_model(folder):
-            raise StageError(_not_a_model(folder))
-        import pycolmap  # heavy: only where needed
-
-        try:
-            model = pycolmap.Reconstruction(folder)
-        except Exception as error:  # the C++ side raises many kinds
-            raise StageError(
-                f"{folder}: cannot read the COLMAP model ({' '.join(str(error).split())}); "
-                "copy or export it again"
-            ) from error
-        points = [model.points3D[key] for key in sorted(model.points3D)]
-        if not points:
+    def __init__(self, path: Path) -> None:
+        folder = path if path.is_dir() else path.parent
+        self._path = path if path.is_file() else points_file(folder)
+        self._binary = self._path.suffix == ".bin"
+        self.points = self._count()
+        if not self.points:
             raise StageError(f"{folder}: the COLMAP model has no points; triangulate it first")
-        self.points = len(points)
-        self._xyz = np.array([point.xyz for point in points], np.float64)
-        self._rgb = np.array([point.color for point in points], np.uint8)
-        images = [model.images[key] for key in sorted(model.images)]
-        poses = [image.cam_from_world().inverse() for image in images if image.has_pose]
-        self.cameras: tuple[F64, F64] | None = None
-        if poses:
-            self.cameras = (
-                np.array([pose.translation for pose in poses], np.float64),
-                np.array([pose.rotation.quat for pose in poses], np.float64),
+        cameras = read_cameras(folder)
+        self.about = About(
+            kind=f"COLMAP model, {'binary' if self._binary else 'text'}",
+            cameras=cameras,
+            notes=() if cameras else ("points without cameras: no images and cameras files",),
+        )
+
+    def chunks(self, points: int) -> Iterator[Chunk]:
+        """Points in the file's order, at most ``points`` at a time."""
+        found = 0
+        for rows in self._binary_rows(points) if self._binary else self._text_rows(points):
+            found += len(rows)
+            yield xyz_of(rows), np.stack([rows[name] for name in _NAMES[3:]], axis=1)
+        if found < self.points:
+            raise StageError(
+                f"{self._path}: cut short, {self.points - found:,} of {self.points:,} points are "
+                "missing; copy or export the model again"
             )
 
-    def chunks(self, points: int) -> Iterator[tuple[F64, U8]]:
-        """Points in order of their COLMAP ids, at most ``points`` at a time."""
-        for start in range(0, self.points, points):
-            yield self._xyz[start : start + points], self._rgb[start : start + points]
+    def _count(self) -> int:
+        with self._path.open("rb") as file:
+            if self._binary:
+                head = file.read(8)
+                if len(head) < 8:
+                    raise _damaged(self._path, "it is cut short")
+                return int.from_bytes(head, "little")
+            return sum(1 for line in file if line.strip() and not line.startswith(b"#"))
+
+    def _binary_rows(self, points: int) -> Iterator[NDArray[Any]]:
+        layout = [(np.dtype(c) if c else None, np.dtype(i)) for c, i in _POINT]
+        with self._path.open("rb") as file:
+            file.seek(8)
+            yield from ListRows(layout, range(1, 7), _NAMES).read(file, self.points, points)
+
+    def _text_rows(self, points: int) -> Iterator[NDArray[Any]]:
+        dtype = np.dtype([(n, "f8" if n in "xyz" else "u1") for n in _NAMES])
+        rows: list[tuple[Any, ...]] = []
+        with self._path.open("rb") as file:
+            for number, line in enumerate(file, start=1):
+                words = line.split(maxsplit=7)
+                if not words or words[0].startswith(b"#"):
+                    continue
+                try:
+                    rows.append((*map(float, words[1:4]), *map(int, words[4:7])))
+                    if len(rows[-1]) != 6 or max(rows[-1][3:]) > 255 or min(rows[-1][3:]) < 0:
+                        raise ValueError
+                except ValueError:
+                    raise _damaged(self._path, f"line {number:,} is no point") from None
+                if len(rows) == points:
+                    yield np.array(rows, dtype)
+                    rows = []
+        if rows:
+            yield np.array(rows, dtype)
 
 
-def _is_model(folder: Path) -> bool:
-    return any((folder / name).is_file() for name in _FILES)
+def read_cameras(folder: Path) -> Cameras | None:
+    """The photos of a model with their poses in the scene and lenses; None without the files."""
+    pairs = [(folder / f"images{suffix}", folder / f"cameras{suffix}") for suffix in _SUFFIXES]
+    pair = next((p for p in pairs if all(file.is_file() for file in p)), None)
+    if pair is None:
+        return None
+    images, lenses = pair
+    binary = images.suffix == ".bin"
+    try:
+        known = (_binary_lenses if binary else _text_lenses)(lenses.read_bytes())
+        found = sorted((_binary_images if binary else _text_images)(images.read_bytes()))
+    except (ValueError, KeyError, IndexError, struct.error) as error:
+        raise _damaged(images, f"{type(error).__name__}: {error}") from None
+    if not found:
+        return None
+    wxyz = np.array([quaternion for _, quaternion, _, _, _ in found])
+    if not (np.isfinite(wxyz).all() and np.linalg.norm(wxyz, axis=1).all()):
+        raise _damaged(images, "a rotation is no rotation")
+    rotations = Rotation.from_quat(wxyz[:, [1, 2, 3, 0]]).as_matrix()
+    positions, quaternions = camera_poses(rotations, np.array([t for _, _, t, _, _ in found]))
+    missing = next((lens for *_, lens, _ in found if lens not in known), None)
+    if missing is not None:
+        raise _damaged(lenses, f"camera {missing} is missing")
+    return Cameras(
+        positions,
+        quaternions,
+        tuple(name for *_, name in found),
+        tuple(known[lens] for *_, lens, _ in found),
+    )
 
 
-def _not_a_model(folder: Path) -> str:
-    below = sorted({path.parent for name in _FILES for path in folder.rglob(name)})
+_Image = tuple[int, tuple[float, ...], tuple[float, ...], int, str]
+"""Id, quaternion wxyz and translation scene -> camera, id of the camera, name."""
+
+
+def _binary_images(data: bytes) -> list[_Image]:
+    (count,) = struct.unpack_from("<Q", data)
+    at = 8
+    images: list[_Image] = []
+    for _ in range(_possible(count, len(data), 73)):
+        key, *pose, lens = struct.unpack_from("<I7dI", data, at)
+        end = data.index(b"\0", at + 64)
+        name = data[at + 64 : end].decode("utf-8", "replace")
+        (observations,) = struct.unpack_from("<Q", data, end + 1)
+        at = end + 9 + _possible(observations, len(data) - end, 24) * 24
+        images.append((key, tuple(pose[:4]), tuple(pose[4:]), lens, name))
+    return images
+
+
+def _text_images(data: bytes) -> list[_Image]:
+    lines = [line for line in data.decode("utf-8", "replace").split("\n") if line[:1] != "#"]
+    images: list[_Image] = []
+    for line in lines[::2]:  # every other line lists what the photo saw, and may be empty
+        words = line.split(maxsplit=9)
+        if words:
+            pose = tuple(map(float, words[1:8]))
+            images.append((int(words[0]), pose[:4], pose[4:], int(words[8]), words[9].strip()))
+    return images
+
+
+def _binary_lenses(data: bytes) -> dict[int, Lens]:
+    (count,) = struct.unpack_from("<Q", data)
+    at = 8
+    lenses: dict[int, Lens] = {}
+    for _ in range(_possible(count, len(data), 24)):
+        key, model, width, height = struct.unpack_from("<IiQQ", data, at)
+        name, length = _LENSES[model]
+        lenses[key] = Lens(name, width, height, struct.unpack_from(f"<{length}d", data, at + 24))
+        at += 24 + 8 * length
+    return lenses
+
+
+def _text_lenses(data: bytes) -> dict[int, Lens]:
+    rows = [line.split() for line in data.decode("utf-8", "replace").splitlines()]
+    return {
+        int(key): Lens(name, int(width), int(height), tuple(map(float, params)))
+        for key, name, width, height, *params in (r for r in rows if r and r[0][0] != "#")
+    }
+
+
+def _possible(count: int, room: int, least: int) -> int:
+    """A number of things that each take at least so many bytes."""
+    if count * least > room:
+        raise ValueError(f"{count:,} entries do not fit into {room:,} bytes")
+    return count
+
+
+def points_file(folder: Path) -> Path:
+    """The points3D file of a model.
+
+    Raises
+    ------
+    StageError
+        When the folder holds none; the message names the folders below it that do.
+    """
+    for name in ("points3D.bin", "points3D.txt"):
+        if (folder / name).is_file():
+            return folder / name
+    below = sorted({p.parent for p in folder.rglob("points3D.*") if p.suffix in (".bin", ".txt")})
     if below:
         found = " or ".join(f"'{path.relative_to(folder)}'" for path in below)
-        return f"{folder}: not itself a COLMAP model; give the folder {found} below it"
-    return f"{folder}: no COLMAP model (no points3D.bin or points3D.txt); give a cloud or a model"
+        raise StageError(f"{folder}: not itself a COLMAP model; give the folder {found} below it")
+    raise StageError(
+        f"{folder}: no COLMAP model (no points3D.bin or points3D.txt); give a cloud or a model"
+    )
+
+
+def _damaged(path: Path, what: str) -> StageError:
+    return StageError(f"{path}: cannot read the COLMAP model ({what}); copy or export it again")

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.schemas.records import F64, U8
 from spinpipe.stages.ingest.colour_range import full_colour, to_8_bit
+from spinpipe.stages.ingest.coordinates import Coordinates, beside, from_crs
+from spinpipe.stages.ingest.scene_source import About, Chunk, white
 from spinpipe.stages.stage import StageError
+
+_VLR_HEADER = 54
+"""Bytes of the header of a variable length record [ASPRS LAS 1.4 R15, table 7]."""
+_SHORTEST_HEADER = 227
 
 
 class LasSource:
@@ -26,29 +32,52 @@ class LasSource:
         When the file cannot be read.
     """
 
-    cameras = None
-
     def __init__(self, path: Path) -> None:
         import laspy  # heavy: only where needed
 
         self._path = path
+        self._counted = _check_header(path)
         try:
             with laspy.open(path) as reader:
-                self.points = reader.header.point_count
-                names = set(reader.header.point_format.dimension_names)
+                header = reader.header
+                self.points = header.point_count
+                names = list(header.point_format.dimension_names)
+                compressed = header.are_points_compressed
+                kind = f"{'LAZ' if compressed else 'LAS'} {header.version}"
+                told = _coordinates(header) or beside(path) or Coordinates()
         except Exception as error:  # laspy and its decompressor raise many kinds
             raise self._unreadable(error) from error
-        self.coloured = {"red", "green", "blue"} <= names
+        notes: tuple[str, ...] = ()
+        if not self.points and self._counted:
+            if compressed:
+                raise StageError(
+                    f"{path}: its header says 0 points though data follow; rewrite it, "
+                    "with 'lasinfo -repair' or 'pdal translate'"
+                )
+            self.points = self._counted
+            notes = (f"its header says 0 points, {self.points:,} are there: read them",)
+        self.coloured = {"red", "green", "blue"} <= set(names)
         self._full: float | None = None
+        self.about = About(
+            kind=f"{kind}, point format {header.point_format.id}",
+            fields=tuple(n for n in names if n not in ("X", "Y", "Z")),
+            coordinates=told,
+            # The standard leaves it open, but z is the height wherever the system has one
+            up=None if told.geocentric else (0.0, 0.0, 1.0),
+            up_reason="LAS: z is the height",
+            notes=notes,
+        )
 
-    def chunks(self, points: int) -> Iterator[tuple[F64, U8]]:
+    def chunks(self, points: int) -> Iterator[Chunk]:
         """Points in the file's order, at most ``points`` at a time."""
         if self.coloured and self._full is None:
             self._full = full_colour(_colours(records) for records in self._records(points))
         for records in self._records(points):
-            xyz = np.column_stack([records.x, records.y, records.z]).astype(np.float64)
+            xyz = np.empty((len(records), 3))
+            for column, axis in enumerate((records.x, records.y, records.z)):
+                xyz[:, column] = axis
             if self._full is None:
-                yield xyz, np.full((len(xyz), 3), 255, np.uint8)
+                yield xyz, white(len(xyz))
             else:
                 yield xyz, to_8_bit(_colours(records), self._full)
 
@@ -58,6 +87,7 @@ class LasSource:
         found = 0
         try:
             with laspy.open(self._path) as reader:
+                reader.header.point_count = self.points  # a header may say 0
                 for records in reader.chunk_iterator(points):
                     found += len(records)
                     yield records
@@ -74,6 +104,40 @@ class LasSource:
             f"{self._path}: cannot read the LAS file ({' '.join(str(error).split())}); "
             "it may be cut short, copy or export it again"
         )
+
+
+def _check_header(path: Path) -> int:
+    """How many points fit behind the header; refuses one that lies about its size.
+
+    A reader that believes in billions of records walks for hours.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(_SHORTEST_HEADER)
+    if len(head) < _SHORTEST_HEADER:
+        raise StageError(
+            f"{path}: cannot read the LAS file (its header is incomplete); it is cut short, copy "
+            "or export it again"
+        )
+    header_size, offset, records = struct.unpack_from("<HII", head, 94)
+    (row,) = struct.unpack_from("<H", head, 105)
+    if header_size + records * _VLR_HEADER > min(offset, size) or offset > size or not row:
+        raise StageError(
+            f"{path}: cannot read the LAS file (its header claims {records:,} records before the "
+            f"points at byte {offset:,} of {size:,}); it may be cut short, copy or export it again"
+        )
+    return (size - offset) // row
+
+
+def _coordinates(header: Any) -> Coordinates | None:
+    """System by the file's records, WKT or GeoTIFF keys; one that PROJ does not know is none."""
+    from pyproj.exceptions import CRSError
+
+    try:
+        crs = header.parse_crs()
+    except (CRSError, ValueError, KeyError):
+        return None
+    return from_crs(crs, "LAS header") if crs else None
 
 
 def _colours(records: Any) -> NDArray[Any]:

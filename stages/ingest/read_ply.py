@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import itertools
+import os
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.schemas.records import F64, U8
+from spinpipe.schemas.records import Cameras
 from spinpipe.stages.ingest.colour_range import full_colour, to_8_bit
+from spinpipe.stages.ingest.coordinates import Coordinates, beside, from_text
 from spinpipe.stages.ingest.ply_header import PlyElement, PlyHeader, parse_header
 from spinpipe.stages.ingest.ply_lists import ListRows
+from spinpipe.stages.ingest.scene_source import About, Chunk, white
 from spinpipe.stages.stage import StageError
 
 _COLOURS = tuple(
@@ -23,6 +26,7 @@ _COLOURS = tuple(
     for names in (("red", "green", "blue"), ("r", "g", "b"))
 )
 _LONGEST_HEADER = 1 << 20
+_SKIPPED_ROWS = 1 << 18
 
 
 def read_header(path: Path) -> PlyHeader:
@@ -50,26 +54,40 @@ class PlySource:
         When the header is broken, x, y or z are missing, or the file is cut short.
     """
 
-    cameras = None
-
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, cameras: Cameras | None = None) -> None:
         self._path = path
         self._header = read_header(path)
-        names = [element.name for element in self._header.elements]
+        names = [element.name.lower() for element in self._header.elements]
         if "vertex" not in names:
             raise StageError(f"{path}: the PLY file has no element 'vertex'; give a point cloud")
         self._index = names.index("vertex")
         self._vertex = self._header.elements[self._index]
         self.points = self._vertex.count
-        fields = [prop.name for prop in self._vertex.properties]
+        # PDAL writes names in capitals
+        fields = {prop.name.lower(): prop.name for prop in reversed(self._vertex.properties)}
         missing = [axis for axis in "xyz" if axis not in fields]
         if missing:
             raise StageError(
-                f"{path}: its vertices have no property {', '.join(missing)} "
-                f"(only {', '.join(fields)}); export the cloud with coordinates"
+                f"{path}: its vertices have no property {', '.join(missing)} (only "
+                f"{', '.join(reversed(fields.values()))}); export the cloud with coordinates"
             )
-        self._colours = next((c for c in _COLOURS if set(c) <= set(fields)), ())
+        colours = next((c for c in _COLOURS if set(c) <= set(fields)), ())
+        self._axes = tuple(fields[axis] for axis in "xyz")
+        self._colours = tuple(fields[name] for name in colours)
         self._full: float | None = None
+        number = np.dtype(self._vertex.properties[self._column(self._axes[0])].dtype).name
+        self.about = About(
+            kind=f"PLY, {self._header.encoding}, {number}",
+            fields=tuple(
+                prop.name
+                for prop in self._vertex.properties
+                if prop.name not in (*self._axes, *self._colours)
+            ),
+            coordinates=beside(path)
+            or from_text(self._header.comments, "a comment in the PLY header")
+            or Coordinates(),
+            cameras=cameras,
+        )
         if not self._header.text and not self._has_lists():
             self._check_size()
 
@@ -78,14 +96,14 @@ class PlySource:
         """Whether the vertices have red, green and blue."""
         return bool(self._colours)
 
-    def chunks(self, points: int) -> Iterator[tuple[F64, U8]]:
+    def chunks(self, points: int) -> Iterator[Chunk]:
         """Vertices in the file's order, at most ``points`` at a time."""
         if self._colours and self._full is None:
             self._full = full_colour(_matrix(rows, self._colours) for rows in self._rows(points))
         for rows in self._rows(points):
-            xyz = _matrix(rows, ("x", "y", "z")).astype(np.float64)
+            xyz = _matrix(rows, self._axes).astype(np.float64)
             if self._full is None:
-                yield xyz, np.full((len(rows), 3), 255, np.uint8)
+                yield xyz, white(len(rows))
             else:
                 yield xyz, to_8_bit(_matrix(rows, self._colours), self._full)
 
@@ -126,20 +144,18 @@ class PlySource:
                     raise self._cut_short(start + len(rows))
                 yield rows
 
+    def _column(self, name: str) -> int:
+        return next(i for i, prop in enumerate(self._vertex.properties) if prop.name == name)
+
     def _text_rows(self, points: int) -> Iterator[NDArray[Any]]:
-        fields = [prop.name for prop in self._vertex.properties]
-        wanted = ("x", "y", "z", *self._colours)
-        columns = [fields.index(name) for name in wanted]
-        leading = self._vertex.properties[: max(columns)]
-        if any(prop.count_dtype is not None for prop in leading):
-            raise StageError(
-                f"{self._path}: an ascii PLY with a list before its coordinates or colours "
-                "is not supported; export it as binary"
-            )
+        wanted = (*self._axes, *self._colours)
+        columns = [self._column(name) for name in wanted]
         types = [self._vertex.properties[column].dtype for column in columns]
         # Text of a whole number may carry a decimal point or an exponent: read all as float64
         parsed = np.dtype([(name, np.float64) for name in wanted])
         exact = np.dtype(list(zip(wanted, types, strict=True)))
+        leading = self._vertex.properties[: max(columns)]
+        lists = any(prop.count_dtype is not None for prop in leading)
         with self._path.open("rb") as file:
             file.seek(self._header.data_offset)
             rows_before = sum(e.count for e in self._header.elements[: self._index])
@@ -148,10 +164,28 @@ class PlySource:
                 skip = rows_before if start == 0 else 0
                 count = min(points, self.points - start)
                 block = list(itertools.islice(lines, skip, skip + count))
+                # The format knows no commas: one can only be a decimal comma
+                block = [line.replace(b",", b".") if b"," in line else line for line in block]
+                if lists:
+                    block = [self._without_lists(line) for line in block]
+                    columns = list(range(len(wanted)))
                 rows = self._parse(block, columns, parsed, start)
                 if len(rows) < count:
                     raise self._cut_short(start + len(rows))
                 yield rows.astype(exact)
+
+    def _without_lists(self, line: bytes) -> bytes:
+        """The coordinates and colours of a row whose columns lists move."""
+        words = line.split()
+        values: dict[str, bytes] = {}
+        at = 0
+        for prop in self._vertex.properties:
+            if prop.count_dtype is None:
+                values[prop.name] = words[at] if at < len(words) else b"?"
+            elif at < len(words):
+                at += int(words[at]) if words[at].isdigit() else len(words)
+            at += 1
+        return b" ".join(values[name] for name in (*self._axes, *self._colours))
 
     def _parse(
         self, lines: list[bytes], columns: list[int], dtype: np.dtype[Any], start: int
@@ -170,15 +204,13 @@ class PlySource:
 
     def _list_rows(self, points: int) -> Iterator[NDArray[Any]]:
         """Rows behind or among lists of any length."""
-        names = ("x", "y", "z", *self._colours)
-        fields = [prop.name for prop in self._vertex.properties]
-        wanted = ListRows(_layout(self._vertex), [fields.index(n) for n in names], names)
+        names = (*self._axes, *self._colours)
+        wanted = ListRows(_layout(self._vertex), [self._column(n) for n in names], names)
         found = 0
         with self._path.open("rb") as file:
             file.seek(self._header.data_offset)
             for element in self._header.elements[: self._index]:
-                for _ in ListRows(_layout(element)).read(file, element.count, points):
-                    pass
+                skip_rows(file, element)
             for rows in wanted.read(file, self.points, points):
                 found += len(rows)
                 yield rows
@@ -190,6 +222,15 @@ class PlySource:
             f"{self._path}: cut short, {self.points - found:,} of {self.points:,} points are "
             "missing; copy or export the file again"
         )
+
+
+def skip_rows(file: BinaryIO, element: PlyElement) -> None:
+    """Go behind the binary rows of an element."""
+    if not element.has_lists:
+        file.seek(element.count * element.dtype.itemsize if element.count else 0, os.SEEK_CUR)
+        return
+    for _ in ListRows(_layout(element)).read(file, element.count, _SKIPPED_ROWS):
+        pass
 
 
 def _layout(element: PlyElement) -> list[tuple[np.dtype[Any] | None, np.dtype[Any]]]:

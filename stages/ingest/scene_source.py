@@ -1,21 +1,40 @@
-"""Where a scene comes from: one reader a format behind one small protocol.
+"""What every reader of a scene gives: its points piece by piece, and what the file says of itself.
 
-A reader yields the points in chunks, so that memory does not grow with the scene, and can be
-asked for them several times.
+Pieces keep memory from growing with the scene; a source can be asked for them several times.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import Protocol
 
-from spinpipe.schemas.records import F64, U8
-from spinpipe.stages.ingest import read_colmap, read_las, read_ply
-from spinpipe.stages.stage import StageError
+import numpy as np
+
+from spinpipe.schemas.records import F64, U8, Cameras, Vector
+from spinpipe.stages.ingest.coordinates import Coordinates
 
 Chunk = tuple[F64, U8]
 """Coordinates (N, 3) float64 in the scene frame, not necessarily finite, and colours (N, 3)."""
+
+
+@dataclass(frozen=True)
+class About:
+    """What a file says of itself beyond its points."""
+
+    kind: str
+    """Format and dialect, as the user would name it."""
+    fields: tuple[str, ...] = ()
+    """Names of what each point carries besides its coordinates."""
+    coordinates: Coordinates = field(default_factory=Coordinates)
+    """Unit and coordinate system as far as the file tells."""
+    up: Vector | None = None
+    """Which way is up by the format's specification, scene frame."""
+    up_reason: str = ""
+    cameras: Cameras | None = None
+    """In the scene frame."""
+    notes: tuple[str, ...] = ()
+    """What a user should know about how the file was understood."""
 
 
 class SceneSource(Protocol):
@@ -32,8 +51,8 @@ class SceneSource(Protocol):
         ...
 
     @property
-    def cameras(self) -> tuple[F64, F64] | None:
-        """Positions (C, 3) in the scene frame and quaternions xyzw (C, 4) camera -> scene."""
+    def about(self) -> About:
+        """What the file says of itself."""
         ...
 
     def chunks(self, points: int) -> Iterator[Chunk]:
@@ -47,30 +66,33 @@ class SceneSource(Protocol):
         ...
 
 
-_READERS: dict[str, Callable[[Path], SceneSource]] = {
-    ".ply": read_ply.PlySource,
-    ".las": read_las.LasSource,
-    ".laz": read_las.LasSource,
-}
+@dataclass(frozen=True)
+class MemorySource:
+    """A cloud that is small enough to be held, as those of sparse models are."""
+
+    about: About
+    xyz: F64
+    """(N, 3) scene frame."""
+    rgb: U8 | None = None
+    """(N, 3), or None where there are no colours."""
+
+    @property
+    def points(self) -> int:
+        """How many points there are."""
+        return len(self.xyz)
+
+    @property
+    def coloured(self) -> bool:
+        """Whether the points have colours."""
+        return self.rgb is not None
+
+    def chunks(self, points: int) -> Iterator[Chunk]:
+        """All points in order, at most ``points`` at a time."""
+        for start in range(0, len(self.xyz), points):
+            piece = self.xyz[start : start + points]
+            yield piece, white(len(piece)) if self.rgb is None else self.rgb[start : start + points]
 
 
-def open_scene(path: Path) -> SceneSource:
-    """Open a cloud: a PLY, LAS or LAZ file, or the folder of a COLMAP model.
-
-    Raises
-    ------
-    StageError
-        When the path does not exist, is of no known kind or cannot be read.
-    """
-    if path.is_dir():
-        return read_colmap.ColmapSource(path)
-    if not path.exists():
-        raise StageError(f"{path}: no such file or folder; correct the path in the config")
-    reader = _READERS.get(path.suffix.lower())
-    if reader is None:
-        known = ", ".join(_READERS)
-        raise StageError(
-            f"{path}: cannot read a scene from '{path.suffix}' files; "
-            f"give one of {known} or the folder of a COLMAP model"
-        )
-    return reader(path)
+def white(count: int) -> U8:
+    """Colours (count, 3) of points that have none."""
+    return np.full((count, 3), 255, np.uint8)

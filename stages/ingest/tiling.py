@@ -156,6 +156,8 @@ def _best_cut(part: F32) -> tuple[int, np.float32] | None:
 def tiles_of(points: NDArray[np.void], most: int) -> list[NDArray[np.void]]:
     """Cut the points of one leaf into tiles of at most ``most`` points, each in canonical order.
 
+    Of points with equal coordinates one stays: copies say nothing of the surface.
+
     Parameters
     ----------
     points : (N,) of dtype ``POINT``
@@ -163,13 +165,21 @@ def tiles_of(points: NDArray[np.void], most: int) -> list[NDArray[np.void]]:
         Points of the largest tile, at least 1.
     """
     if len(points) <= most:
-        return [points[_canonical_order(points)]] if len(points) else []
+        return [_without_copies(points[_canonical_order(points)])] if len(points) else []
     reach = np.ptp(points["xyz"], axis=0)
     axis = int(np.argmax(reach))
     others = [points["xyz"][:, (axis + step) % 3] for step in (2, 1, 0)]
     order = np.lexsort((*_colour_keys(points["rgb"]), *others))
+    points = _without_copies(points[order])
     half = len(points) // 2
-    return tiles_of(points[order[:half]], most) + tiles_of(points[order[half:]], most)
+    return tiles_of(points[:half], most) + tiles_of(points[half:], most)
+
+
+def _without_copies(points: NDArray[np.void]) -> NDArray[np.void]:
+    """Ordered points of which equal ones are neighbours, without all but the first of these."""
+    xyz: F32 = points["xyz"]
+    copies = np.append(False, (xyz[1:] == xyz[:-1]).all(axis=1))
+    return points[~copies] if copies.any() else points
 
 
 def _canonical_order(points: NDArray[np.void]) -> NDArray[np.int64]:

@@ -19,7 +19,7 @@ from spinpipe.pipeline.evaluation.truth import TruthObject
 from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
 from spinpipe.schemas.records import Detection
 from spinpipe.stages.geometry.shapes import upright_pose
-from spinpipe.stages.ingest.scene_source import open_scene
+from spinpipe.stages.ingest.open_scene import open_scene
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]

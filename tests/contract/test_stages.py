@@ -154,7 +154,7 @@ def as_messages(xyz: np.ndarray) -> Messages:
     return {
         CLOUD: [tile] if len(points) else [],
         TILES: [TileIndex(low, high, counts)],
-        SCENE: [SceneFrame((0.0, 0.0, 0.0), 1.0, len(points), 0, False, "scene.ply")],
+        SCENE: [SceneFrame((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), len(points), 0, False, "scene.ply")],
         CAMERAS: [],
         UPRIGHT: [Upright((0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0))],
     }

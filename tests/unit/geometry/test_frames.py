@@ -18,7 +18,7 @@ from spinpipe.stages.geometry.frames import (
 )
 
 HALF = float(np.sqrt(0.5))
-FRAME = SceneFrame((500_000.0, 4_000_000.0, 100.0), 2.0, 10, 0, False, "scene.ply")
+FRAME = SceneFrame((500_000.0, 4_000_000.0, 100.0), (2.0, 2.0, 2.0), 10, 0, False, "scene.ply")
 UPRIGHT = Upright((HALF, 0.0, 0.0, HALF), (0.0, 0.0, 3.0))
 """Turns +y to +z, then lifts by 3 m."""
 

@@ -13,7 +13,7 @@ from spinpipe.schemas import CAMERAS, CLOUD, PLANE, SAMPLING, TILES, UPRIGHT
 from spinpipe.schemas.records import Cameras, CloudTile, TileIndex
 from spinpipe.stages.ground.area_sample import sample_by_area
 from spinpipe.stages.ground.ground import Ground
-from spinpipe.stages.ingest.scene_source import open_scene
+from spinpipe.stages.ingest.open_scene import open_scene
 from spinpipe.stages.stage import StageError
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -385,7 +385,9 @@ def read_real(path):
     source = open_scene(path)
     points = np.concatenate([xyz for xyz, _ in source.chunks(1_000_000)])
     origin = np.round(points.mean(axis=0))
-    cameras = source.cameras and Cameras(source.cameras[0] - origin, source.cameras[1])
+    cameras = source.about.cameras
+    if cameras is not None:
+        cameras = Cameras(cameras.positions - origin, cameras.quaternions_xyzw)
     return points - origin, cameras
 
 

@@ -198,7 +198,7 @@ def test_an_error_names_file_section_and_key(tmp_path: Path, text: str, message:
         ("[ingest]\nscene = 's'\nmodels = []\n", "Write [[model]] sections"),
         ("ingest = 3\n[[model]]\nname = 'a'\npath = 'b'\n", "[ingest] must be a section"),
         (MINIMAL.replace('"data/scene.ply"', "3"), "[ingest] scene = 3"),
-        (MINIMAL + "up = 'x'\n", "set forward to another"),
+        (MINIMAL + "up = 'x'\nforward = '-x'\n", "set forward to another"),
     ],
 )
 def test_an_error_of_models_and_sections_says_what_is_missing(

@@ -158,7 +158,7 @@ def make_run() -> Messages:
     hits = Hits("saloon", clouds[0].xyz[:30], np.full(30, 0.9, np.float32))
     return Messages(
         {
-            SCENE: [SceneFrame((1e6, 2e6, 0.0), 1.0, 1000, 3, True, "yard.ply")],
+            SCENE: [SceneFrame((1e6, 2e6, 0.0), (1.0, 1.0, 1.0), 1000, 3, True, "yard.ply")],
             TILES: [
                 TileIndex(
                     np.array([tile.xyz.min(axis=0) for tile in clouds]),

@@ -13,7 +13,9 @@ from spinpipe.stages.stage import StageError
 
 
 def frame(origin=(100.0, 200.0, 5.0), scale=1.0):
-    return SceneFrame(origin, scale, points=1, dropped=0, coloured=False, source="scene.ply")
+    return SceneFrame(
+        origin, (scale, scale, scale), points=1, dropped=0, coloured=False, source="scene.ply"
+    )
 
 
 def upright(rotation=None, translation=(0.0, 0.0, 0.5)):

@@ -44,7 +44,7 @@ RECORDS: list[tuple[Topic[Any], st.SearchStrategy[Any]]] = [
         st.builds(
             records.SceneFrame,
             vectors,
-            numbers,
+            vectors,
             st.integers(0, 2**64 - 1),
             counts,
             st.booleans(),

@@ -1,0 +1,114 @@
+"""What a file is, by its content: suffixes lie, and one suffix stands for many formats."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from spinpipe.stages.stage import StageError
+
+_HEAD = 1 << 16
+_NUMBER = rb"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?|nan|inf"
+_ROW = re.compile(rb"(%s)([\s,;]+(%s)){2,}[\s,;]*" % (_NUMBER, _NUMBER), re.I)
+
+_BEGINNINGS: tuple[tuple[str, str], ...] = (
+    ("ply", r"ply[ \t]*[\r\n]"),
+    ("las", "LASF"),
+    ("mcap", r"\x89MCAP"),
+    ("e57", "ASTM-E57"),
+    ("glb", "glTF"),
+    ("pcd", r"(#[^\n]*\n|\s)*(VERSION|FIELDS|COLUMNS)\s"),
+    ("bundler", r"# Bundle file"),
+    ("patch", r"\s*PATCHES\s"),
+    ("off", r"\s*(#[^\n]*\n\s*)*(ST)?C?N?4?n?OFF\s"),
+    ("dae", r"\s*(<\?xml[^>]*>|<!--.*?-->|\s)*<COLLADA"),
+    ("gltf", r"\s*\{(?=.*\"asset\"\s*:)"),
+    ("opensfm", r"\s*\[?\s*\{(?=.*\"(cameras|shots)\"\s*:)"),
+    ("obj", r"([^\n]*\n)*?\s*(v[ \t]+[-\d.]|mtllib[ \t]|vn[ \t]+[-\d.])"),
+    ("stl", r"solid\b(?=.*\bfacet\b)"),
+)
+_KINDS = tuple((kind, re.compile(text.encode(), re.S)) for kind, text in _BEGINNINGS)
+
+_OTHERS: tuple[tuple[bytes, str], ...] = (
+    (b"version https://git-lfs", "a Git LFS pointer; fetch the file itself with 'git lfs pull'"),
+    (b"PK\x03\x04", "a zip archive; unpack it first"),
+    (b"\x1f\x8b", "a gzip archive; unpack it first"),
+    (b"7z\xbc\xaf", "a 7z archive; unpack it first"),
+    (b"BZh", "a bzip2 archive; unpack it first"),
+    (b"\xfd7zXZ", "an xz archive; unpack it first"),
+    (b"MVSI", "an OpenMVS project; give the PLY that OpenMVS writes beside it"),
+    (b"#ROSBAG", "a ROS 1 bag; convert it with 'mcap convert'"),
+    (b"SQLite format 3", "a database, perhaps a ROS 2 bag; convert it with 'mcap convert'"),
+    (b"\x89HDF", "an HDF5 file; export the cloud as PLY or LAS"),
+    (b"Kaydara FBX", "an FBX file; export it as OBJ or GLB"),
+    (b"BLENDER", "a Blender project; export it as OBJ or GLB"),
+    (b"\x89PNG", "a picture; give the reconstruction made from it"),
+    (b"\xff\xd8\xff", "a picture; give the reconstruction made from it"),
+    (b"%PDF", "a PDF"),
+    (b"<!doctype html", "a web page; download the file itself"),
+    (b"<html", "a web page; download the file itself"),
+)
+
+
+def file_kind(path: Path) -> str:
+    """Name the format of a file by its first 64 KiB and its size.
+
+    Returns
+    -------
+    str
+        ``ply``, ``las``, ``mcap``, ``e57``, ``glb``, ``gltf``, ``pcd``, ``bundler``, ``patch``,
+        ``off``, ``dae``, ``obj``, ``stl``, ``opensfm``, ``colmap`` (a points3D file) or ``text``.
+
+    Raises
+    ------
+    StageError
+        When it cannot be opened, is empty or none of these; the message says what it looks like.
+    """
+    if not path.exists():
+        raise StageError(f"{path}: no such file or folder; correct the path in the config")
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except OSError as error:
+        raise StageError(f"{path}: cannot be read: {error.strerror}") from None
+    if not head.strip(b"\0 \t\r\n"):
+        raise StageError(f"{path}: the file is empty: {_unknown(path)}")
+    if path.name in ("points3D.bin", "points3D.txt"):
+        return "colmap"
+    for beginning, what in _OTHERS:
+        if head[: len(beginning)].lower() == beginning.lower():
+            raise StageError(f"{path}: this is {what}")
+    head = head.removeprefix(b"\xef\xbb\xbf")
+    kind = next((kind for kind, pattern in _KINDS if pattern.match(head)), None)
+    if kind == "obj" and not _is_text(head):
+        kind = None
+    if kind is not None:
+        return kind
+    if size >= 84 and size == 84 + 50 * int.from_bytes(head[80:84], "little"):
+        return "stl"
+    if _is_text(head):
+        lines = head.splitlines()[: -1 if size > _HEAD else None]
+        if sum(bool(_ROW.fullmatch(line.strip())) for line in lines[:50]) >= min(len(lines), 2) / 2:
+            return "text"
+    raise StageError(f"{path}: {_unknown(path)}")
+
+
+def _is_text(head: bytes) -> bool:
+    return b"\0" not in head and not re.search(rb"[\x00-\x08\x0e-\x1f]", head)
+
+
+def _unknown(path: Path) -> str:
+    claims = {
+        ".ply": "not a PLY file, it does not begin with 'ply'",
+        ".las": "not a LAS file, it does not begin with 'LASF'",
+        ".laz": "not a LAZ file, it does not begin with 'LASF'",
+        ".pcd": "not a PCD file, its header is missing",
+        ".glb": "not a GLB file, it does not begin with 'glTF'",
+        ".stl": "not an STL file, its size does not fit its number of faces",
+        ".e57": "not an E57 file, it does not begin with 'ASTM-E57'",
+        ".mcap": "not an MCAP file",
+    }
+    known = "PLY, LAS, LAZ, PCD, E57, XYZ, CSV, PTS, OBJ, STL, GLB, OFF, DAE, MCAP, Bundler, COLMAP"
+    claim = claims.get(path.suffix.lower(), f"of no known format (known are {known})")
+    return f"{claim}; copy or export the file again"

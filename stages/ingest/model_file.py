@@ -1,0 +1,146 @@
+"""A model as its file holds it: mesh or cloud, and which of the file's axes point up and forward.
+
+glTF fixes the axes. Other formats do not: CAD and survey put z up, modellers and game engines y.
+What is stated counts; else what would stand more plausibly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from spinpipe.schemas.records import F64, I64
+from spinpipe.stages.geometry.shapes import face_areas_and_normals, sample_surface
+from spinpipe.stages.ingest.file_kind import file_kind
+from spinpipe.stages.ingest.open_scene import open_scene
+from spinpipe.stages.ingest.read_mesh import MESHES, read_mesh
+from spinpipe.stages.stage import StageError
+
+Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
+
+_CHUNK = 1 << 18
+_SAMPLES = 2000
+_MIRROR_REACH = 0.03
+"""How near to a mirrored point there must be another, as a share of the model's diagonal."""
+_BASE = 0.01
+"""A model stands on the plane of its axes if its lowest point is as near, in its height."""
+_BASE_WEIGHT = 0.5
+"""A base put at zero on purpose speaks as much as half the symmetry of a car."""
+_THIN = 0.05
+"""A model is flat if it is thinner along z than this share of its longest side."""
+_CLEARLY = 0.2
+"""Difference in plausibility from which one axis is taken for another."""
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """What a model's file holds, in the file's own coordinates."""
+
+    kind: str
+    corners: F64
+    """(V, 3) vertices, or points of a cloud."""
+    faces: I64 | None
+    """(F, 3) rows of them; None for a cloud."""
+    up: Axis
+    forward: Axis
+    reason: str
+    """Why that axis is up."""
+    doubt: str = ""
+    """What the user should look at, empty where nothing."""
+
+    @property
+    def closed(self) -> bool:
+        """Whether every edge of the mesh belongs to exactly two faces."""
+        if self.faces is None:
+            return False
+        # Files repeat a vertex for every face that has other normals there
+        place = np.unique(self.corners, axis=0, return_inverse=True)[1].reshape(-1)
+        faces = place[self.faces]
+        edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]))
+        edges = edges[edges[:, 0] != edges[:, 1]]
+        return bool((np.unique(edges, axis=0, return_counts=True)[1] == 2).all())
+
+
+def open_model(path: Path, up: Axis | None, forward: Axis | None) -> ModelFile:
+    """Read a model and settle its axes.
+
+    Parameters
+    ----------
+    path : a mesh, or a cloud in any format of scenes.
+    up, forward : as stated; None to find out.
+
+    Raises
+    ------
+    StageError
+        When the file is missing, unreadable, empty or holds coordinates that are not finite.
+    """
+    kind = file_kind(path) if not path.is_dir() else "colmap"
+    mesh = read_mesh(path, kind) if kind in MESHES else None
+    if mesh is not None:
+        corners, faces, name, said = mesh.vertices, mesh.faces, mesh.kind, mesh.up is not None
+    else:
+        source = open_scene(path)
+        chunks = [xyz for xyz, _ in source.chunks(_CHUNK)]
+        corners, faces = np.concatenate([np.empty((0, 3)), *chunks]), None
+        corners = corners[np.isfinite(corners).all(axis=1)]
+        name, said = f"{source.about.kind} cloud", False
+        if len(corners) < 3:
+            raise StageError(f"{path}: has neither faces nor enough points; give a mesh or a cloud")
+    if not np.isfinite(corners).all():
+        raise StageError(f"{path}: holds coordinates that are not finite; repair the model")
+    if up is not None:
+        front = forward or ("x" if up[-1] != "x" else "y")
+        return ModelFile(name, corners, faces, up, front, "as stated")
+    if said:  # [Khronos glTF 2.0, section 3.4]: +y is up, the front faces +z
+        return ModelFile(name, corners, faces, "y", forward or "z", "y by the glTF specification")
+    if kind == "las":
+        return ModelFile(name, corners, faces, "z", forward or "x", "z is the height in LAS")
+    chosen, reason, doubt = _plausible_up(corners, faces)
+    if forward is not None and forward[-1] == chosen:
+        chosen, reason, doubt = ("y" if forward[-1] == "z" else "z"), "forward is stated", ""
+    return ModelFile(name, corners, faces, chosen, forward or "x", reason, doubt)
+
+
+def _plausible_up(corners: F64, faces: I64 | None) -> tuple[Axis, str, str]:
+    """The axis, y or z, along which the model stands more plausibly; why; and what is doubtful.
+
+    Things that stand are alike left and right, not top and bottom; and modellers put the base of
+    a thing at zero.
+    """
+    size = np.ptp(corners, axis=0)
+    if size[2] <= _THIN * size.max():
+        return "z", "z: the model is flat and lies", ""
+    if faces is not None and face_areas_and_normals(corners, faces)[0].sum() > 0:
+        rng = np.random.default_rng(0)
+        points = sample_surface(corners, faces, _SAMPLES, rng)[0]
+    else:
+        points = corners[:: max(1, len(corners) // _SAMPLES)]
+    tree = KDTree(points)
+    reach = _MIRROR_REACH * float(np.linalg.norm(size))
+    middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    plausible: dict[Axis, float] = {}
+    axes: tuple[tuple[int, Axis], ...] = ((1, "y"), (2, "z"))
+    for axis, name in axes:
+        mirrored = points.copy()
+        mirrored[:, axis] = 2 * middle[axis] - mirrored[:, axis]
+        unlike = float(np.mean(tree.query(mirrored, distance_upper_bound=reach)[0] > reach))
+        based = abs(float(corners[:, axis].min())) <= _BASE * size[axis]
+        plausible[name] = unlike + _BASE_WEIGHT * based
+    more = plausible["y"] - plausible["z"]
+    if more > _CLEARLY:
+        return (
+            "y",
+            "y: the model stands more plausibly along it than along z",
+            "y is taken for up, it stands more plausibly than z; state up = 'y' or up = 'z'",
+        )
+    if more > -_CLEARLY:
+        return (
+            "z",
+            "z: no axis stands more plausibly",
+            "z is taken for up, y would do as well; state up = 'z' or up = 'y'",
+        )
+    return "z", "z: the model stands more plausibly along it than along y", ""

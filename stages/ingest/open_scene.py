@@ -1,0 +1,70 @@
+"""Which reader reads a scene: chosen by what the file holds, whatever it is called."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from spinpipe.stages.ingest.file_kind import file_kind
+from spinpipe.stages.ingest.read_colmap import ColmapSource, read_cameras
+from spinpipe.stages.ingest.read_las import LasSource
+from spinpipe.stages.ingest.read_mesh import MESHES, sampled_mesh
+from spinpipe.stages.ingest.read_pcd import PcdSource
+from spinpipe.stages.ingest.read_ply import PlySource
+from spinpipe.stages.ingest.read_sfm import read_sfm
+from spinpipe.stages.ingest.read_text import TextSource
+from spinpipe.stages.ingest.scene_source import SceneSource
+from spinpipe.stages.stage import StageError
+
+
+def open_scene(path: Path) -> SceneSource:
+    """Open a cloud, a mesh (it is sampled) or the folder of a COLMAP model.
+
+    Raises
+    ------
+    StageError
+        When the path does not exist, is of no known kind or cannot be read.
+    """
+    if path.is_dir():
+        return _open_folder(path)
+    kind = file_kind(path)
+    if kind in MESHES:
+        mesh = sampled_mesh(path, kind)
+        if mesh is not None:
+            return mesh
+    match kind:
+        case "ply":
+            return PlySource(path)
+        case "las":
+            return LasSource(path)
+        case "pcd":
+            return PcdSource(path)
+        case "text":
+            return TextSource(path)
+        case "obj":
+            return TextSource(path, b"v")
+        case "colmap":
+            return ColmapSource(path)
+        case "bundler" | "patch" | "opensfm":
+            return read_sfm(path, kind)
+        case _:
+            raise StageError(f"{path}: its mesh has no faces; give a cloud or a mesh")
+
+
+def _open_folder(folder: Path) -> SceneSource:
+    """A COLMAP model, or the dense cloud fused from it where one lies beside it.
+
+    COLMAP writes ``dense/fused.ply`` and undistorts the model into ``dense/sparse``.
+    """
+    places = [folder, folder / "dense"]
+    if folder.name in ("sparse", "0"):
+        places += [folder.parent, folder.parent.parent]
+    for place in places:
+        fused = place / "fused.ply"
+        if fused.is_file():
+            cameras = next(
+                (found for model in (folder, place / "sparse", place / "sparse" / "0")
+                 if (found := read_cameras(model)) is not None),
+                None,
+            )  # fmt: skip
+            return PlySource(fused, cameras)
+    return ColmapSource(folder)

@@ -1,0 +1,157 @@
+"""Triangle meshes: OBJ, STL, GLB, glTF, OFF and DAE through trimesh, PLY by itself.
+
+A mesh offered as a scene is sampled evenly over its faces.
+"""
+
+# trimesh's types are incomplete
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spinpipe.schemas.records import F64, I64, U8, Vector
+from spinpipe.stages.geometry.shapes import draw_on_faces, face_areas_and_normals
+from spinpipe.stages.ingest.coordinates import Coordinates, beside
+from spinpipe.stages.ingest.read_ply_faces import read_ply_mesh
+from spinpipe.stages.ingest.scene_source import About, MemorySource
+from spinpipe.stages.stage import StageError
+
+MESHES = ("obj", "stl", "glb", "gltf", "off", "dae", "ply")
+SAMPLES = 1_000_000
+"""Points drawn from a mesh that is offered as a scene; as many as it has vertices if more."""
+_MESH_SHARE = 0.5
+"""A cloud may carry some faces; where they use this share of the vertices they are the scene."""
+_SEED = 20100502
+"""Of that sample, which belongs to the file and not to the run: 3DOR 2010, 2 May."""
+
+
+@dataclass(frozen=True)
+class FileMesh:
+    """All faces of a file, in its own coordinates."""
+
+    vertices: F64
+    """(V, 3), each used by a face."""
+    faces: I64
+    """(F, 3)."""
+    rgb: U8 | None = None
+    """(V, 3), or None where there are no colours."""
+    up: Vector | None = None
+    """Up by the format's specification."""
+    kind: str = ""
+    used: float = 1.0
+    """Share of the file's vertices that a face uses."""
+
+
+def read_mesh(path: Path, kind: str) -> FileMesh | None:
+    """Read all faces of a file; None where it has none, as a cloud.
+
+    Raises
+    ------
+    StageError
+        When it cannot be read, or a face refers to a vertex that is not there.
+    """
+    if kind == "ply":
+        found = read_ply_mesh(path)
+        if found is None:
+            return None
+        vertices, faces, rgb = found
+        up = None
+    else:
+        if kind in ("glb", "gltf") and _uses_draco(path, kind) and not _has_draco():
+            raise StageError(
+                f"{path}: its geometry is compressed with Draco; install DracoPy "
+                "(pip install 'spinpipe[draco]'), or export it without compression"
+            )
+        vertices, faces, rgb = _by_trimesh(path, kind)
+        # glTF: +y is up [Khronos glTF 2.0, section 3.4]
+        up = (0.0, 1.0, 0.0) if kind in ("glb", "gltf") else None
+    if not len(faces):
+        return None
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise StageError(
+            f"{path}: a face refers to vertex {int(np.abs(faces).max()):,} of {len(vertices):,}; "
+            "export it again"
+        )
+    used = np.zeros(len(vertices), np.bool_)
+    used[faces] = True
+    compact = np.cumsum(used) - 1
+    name = {"gltf": "glTF"}.get(kind, kind.upper())
+    colours = None if rgb is None else rgb[used]
+    share = float(used.mean())
+    return FileMesh(vertices[used], compact[faces], colours, up, f"{name} mesh", share)
+
+
+def sampled_mesh(path: Path, kind: str) -> MemorySource | None:
+    """A mesh as a scene: points evenly over its faces; None where it has none."""
+    mesh = read_mesh(path, kind)
+    if mesh is None or mesh.used < _MESH_SHARE:
+        return None
+    finite = np.isfinite(mesh.vertices[mesh.faces]).all(axis=(1, 2))
+    faces = mesh.faces[finite]
+    if not face_areas_and_normals(mesh.vertices, faces)[0].sum() > 0:
+        raise StageError(f"{path}: its faces have no area; give a cloud or a mesh with a surface")
+    count = max(SAMPLES, len(mesh.vertices))
+    rng = np.random.default_rng(_SEED)
+    draw = draw_on_faces(mesh.vertices, faces, count, rng)
+    rgb = None
+    if mesh.rgb is not None:
+        corners = mesh.rgb[faces[draw.face]].astype(np.float64)
+        rgb = np.rint(np.einsum("nk,nkc->nc", draw.weights, corners)).astype(np.uint8)
+    about = About(
+        kind=f"{mesh.kind} of {len(mesh.faces):,} faces",
+        coordinates=beside(path) or Coordinates(),
+        up=mesh.up,
+        up_reason="glTF: y is up" if mesh.up else "",
+        notes=(f"a mesh, not a cloud: {count:,} points drawn from its {len(faces):,} faces",),
+    )
+    return MemorySource(about, draw.points, rgb)
+
+
+def _by_trimesh(path: Path, kind: str) -> tuple[F64, I64, U8 | None]:
+    import trimesh  # heavy: only where needed
+    from trimesh.resolvers import FilePathResolver
+
+    try:
+        with path.open("rb") as file:
+            resolver = FilePathResolver(str(path))
+            scene = trimesh.load_scene(
+                file, file_type=kind, resolver=resolver, process=False, skip_materials=True
+            )
+        mesh: Any = scene.to_mesh()
+    except Exception as error:  # trimesh's loaders raise many kinds
+        raise StageError(
+            f"{path}: cannot read the mesh ({' '.join(str(error).split())}); export it again"
+        ) from error
+    faces = np.asarray(mesh.faces, np.int64).reshape(-1, 3)
+    visual: Any = getattr(mesh, "visual", None)
+    rgb = None
+    if getattr(visual, "kind", None) == "vertex" and len(faces):
+        rgb = np.ascontiguousarray(np.asarray(visual.vertex_colors, np.uint8)[:, :3])
+    return np.asarray(mesh.vertices, np.float64).reshape(-1, 3), faces, rgb
+
+
+def _uses_draco(path: Path, kind: str) -> bool:
+    """Whether a glTF file's JSON asks for the extension [KHR_draco_mesh_compression]."""
+    try:
+        with path.open("rb") as file:
+            if kind == "glb":
+                (length,) = struct.unpack("<I", file.read(16)[12:])
+                text = file.read(min(length, path.stat().st_size))
+            else:
+                text = file.read()
+        return "KHR_draco_mesh_compression" in json.loads(text).get("extensionsRequired", [])
+    except (ValueError, struct.error, AttributeError):
+        return False  # trimesh says what is wrong with it
+
+
+def _has_draco() -> bool:
+    from importlib.util import find_spec
+
+    return find_spec("DracoPy") is not None

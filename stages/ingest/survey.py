@@ -1,0 +1,199 @@
+"""A first pass over a scene: how far it reaches, what lies astray, how finely it is written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from spinpipe.schemas.records import F64, U8, Vector
+from spinpipe.stages.ingest.scene_source import SceneSource
+from spinpipe.stages.ingest.tiling import HashSample
+from spinpipe.stages.stage import Progress, StageError
+
+TAIL_SHARE = 0.01
+"""Share of the points at either end of an axis that may be astray."""
+FEWEST_FOR_TAILS = 20
+"""Of fewer points none is astray: there is no rest to be far from."""
+GAP = 0.5
+"""Points behind a gap this wide are astray, as a share of the body's longest side."""
+FARTHEST = 10.0
+"""So are those farther from the body than this many of its longest sides, gap or not."""
+_STEP_POINTS = 100_000
+_SPACING_POINTS = 4000
+_NEIGHBOURS = 8
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What the first pass finds out, in the scene frame and its units."""
+
+    points: int
+    """With finite coordinates."""
+    dropped: int
+    """Without."""
+    strays: int
+    """Of the points, those outside ``keep_low`` .. ``keep_high``."""
+    keep_low: F64
+    """(3,) corner of the box outside which points are astray."""
+    keep_high: F64
+    low: F64
+    """(3,) least coordinates of what is not astray."""
+    high: F64
+    sample: F64
+    """(S, 3) of what is not astray, independent of order."""
+
+    @property
+    def origin(self) -> Vector:
+        """Median of the sample in whole units."""
+        middle = np.median(self.sample, axis=0) if len(self.sample) else self.low
+        x, y, z = (np.rint(middle) + 0.0).tolist()
+        return x, y, z
+
+    @property
+    def steps(self) -> Vector:
+        """Grid that the coordinates lie on along each axis; 0 where there is none to be seen."""
+        x, y, z = (_step(np.unique(column)) for column in self.sample[:_STEP_POINTS].T)
+        return x, y, z
+
+    @property
+    def single_precision(self) -> bool:
+        """Whether the coordinates are those of 32-bit floats."""
+        return bool((self.sample == self.sample.astype(np.float32)).all())
+
+    def spacing(self, scale: Vector) -> float:
+        """Typical distance of neighbours on a surface in metres; 0 for less than ten places.
+
+        A disc about a point that reaches to its k-th neighbour holds k points.
+        """
+        places = np.unique(self.sample * scale, axis=0)
+        if len(places) <= _NEIGHBOURS:
+            return 0.0
+        some = places[:: max(1, len(places) // _SPACING_POINTS)]
+        tree = KDTree(places - places[0])
+        reach = tree.query(some - places[0], k=_NEIGHBOURS + 1)[0][:, _NEIGHBOURS]
+        thinned = len(self.sample) / max(self.points - self.strays, 1)
+        return float(np.median(reach) * np.sqrt(np.pi / _NEIGHBOURS * thinned))
+
+
+def survey(source: SceneSource, name: str, chunk: int, progress: Progress) -> Survey:
+    """Read a scene once.
+
+    Parameters
+    ----------
+    source : the scene.
+    name : of it, for messages.
+    chunk : points to read at once.
+    progress : counts them.
+
+    Raises
+    ------
+    StageError
+        When there is no point, or none with finite coordinates.
+    """
+    sample = HashSample(chunk)
+    corners = _Corners()
+    points = read = 0
+    for xyz, _, count in finite(source, chunk):
+        progress.advance(count)
+        read += count
+        points += len(xyz)
+        if len(xyz):
+            sample.add(xyz)
+            corners.add(xyz)
+    if not read:
+        raise StageError(f"{name}: the cloud is empty; export it again")
+    if not points:
+        raise StageError(
+            f"{name}: none of its {read:,} points has finite coordinates; export it again"
+        )
+    known = sample.points if len(sample.points) else np.stack([corners.low, corners.high])
+    keep_low, keep_high = _kept_box(known)
+    inside = within(known, keep_low, keep_high)
+    strays = 0
+    low, high = corners.low, corners.high
+    if (low < keep_low).any() or (high > keep_high).any():
+        corners = _Corners()
+        for xyz, _, _ in finite(source, chunk):
+            kept = xyz[within(xyz, keep_low, keep_high)]
+            strays += len(xyz) - len(kept)
+            if len(kept):
+                corners.add(kept)
+        low, high = corners.low, corners.high
+    return Survey(points, read - points, strays, keep_low, keep_high, low, high, known[inside])
+
+
+def left_out(found: Survey) -> Iterator[str]:
+    """What is set aside and why, a line each."""
+    if found.dropped:
+        yield f"left out {found.dropped:,} points whose coordinates are not finite"
+    if found.strays:
+        size = " x ".join(f"{side:.4g}" for side in found.high - found.low)
+        yield f"left out {found.strays:,} points far from all others (they reach {size} units)"
+
+
+def finite(source: SceneSource, chunk: int) -> Iterator[tuple[F64, U8, int]]:
+    """Chunks without the points that float32 cannot hold, and how many points they had."""
+    for xyz, rgb in source.chunks(chunk):
+        with np.errstate(over="ignore", invalid="ignore"):
+            good = np.isfinite(xyz.astype(np.float32)).all(axis=1)
+        if good.all():
+            yield xyz, rgb, len(xyz)
+        else:
+            yield xyz[good], rgb[good], len(xyz)
+
+
+def within(xyz: F64, low: F64, high: F64) -> NDArray[np.bool_]:
+    """Which of (N, 3) points lie in a closed box."""
+    inside = np.ones(len(xyz), np.bool_)
+    for axis in range(3):
+        inside &= (xyz[:, axis] >= low[axis]) & (xyz[:, axis] <= high[axis])
+    return inside
+
+
+class _Corners:
+    """The bounding box of a stream of points."""
+
+    def __init__(self) -> None:
+        self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
+
+    def add(self, xyz: F64) -> None:
+        self.low = np.minimum(self.low, xyz.min(axis=0))
+        self.high = np.maximum(self.high, xyz.max(axis=0))
+
+
+def _kept_box(sample: F64) -> tuple[F64, F64]:
+    """Corners of the box that is not astray: the body, and what follows it without a gap."""
+    tail = int(TAIL_SHARE * len(sample)) or (1 if len(sample) >= FEWEST_FOR_TAILS else 0)
+    if not tail:
+        return np.full(3, -np.inf), np.full(3, np.inf)
+    axes = np.sort(sample, axis=0)
+    body = axes[tail:-tail]
+    side = float((body[-1] - body[0]).max())
+    if not side:
+        return np.full(3, -np.inf), np.full(3, np.inf)
+    low, high = body[0] - FARTHEST * side, body[-1] + FARTHEST * side
+    for axis in range(3):
+        column = axes[:, axis]
+        above = np.flatnonzero(np.diff(column[-tail - 1 :]) > GAP * side)
+        if len(above):
+            high[axis] = min(high[axis], column[-tail - 1 :][above[0]] + GAP * side / 2)
+        below = np.flatnonzero(np.diff(column[: tail + 1]) > GAP * side)
+        if len(below):
+            low[axis] = max(low[axis], column[: tail + 1][below[-1] + 1] - GAP * side / 2)
+    return low, high
+
+
+def _step(values: F64) -> float:
+    """Largest step of which all differences of ascending values are multiples; 0 without one."""
+    if len(values) < 3:
+        return 0.0
+    smallest = float(np.diff(values).min())
+    for parts in (1, 2, 5, 10):  # the least difference seen may be a few steps
+        multiples = (values - values[0]) / (smallest / parts)
+        if multiples[-1] < 2**40 and np.abs(multiples - np.rint(multiples)).max() < 0.02:
+            return smallest / parts
+    return 0.0

@@ -1,0 +1,336 @@
+"""Formats told by content: bytes made to the published formats, and files that others wrote."""
+
+# laspy, pycolmap and trimesh have no complete types
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from spinpipe.stages.ingest.model_file import open_model
+from spinpipe.stages.ingest.open_scene import open_scene
+from spinpipe.stages.ingest.read_mesh import read_mesh
+from spinpipe.stages.stage import StageError
+
+XYZ = np.array([[1.5, -2.25, 3.0], [1e3, 2e-3, -7.5], [0.0, 4.0, 8.125], [9.0, 9.5, 9.75]])
+RGB = np.array([[255, 0, 7], [1, 2, 3], [90, 80, 70], [0, 0, 0]], np.uint8)
+
+
+def read(path: Path, chunk: int = 3) -> tuple[Any, Any]:
+    source = open_scene(path)
+    pieces = list(source.chunks(chunk))
+    xyz = np.concatenate([np.empty((0, 3)), *(xyz for xyz, _ in pieces)])
+    rgb = np.concatenate([np.empty((0, 3), np.uint8), *(rgb for _, rgb in pieces)])
+    assert len(xyz) == source.points
+    return xyz, rgb
+
+
+def lzf(data: bytes) -> bytes:
+    """LZF that only copies: runs of up to 32 bytes, and one reference back to show them."""
+    runs = [data[i : i + 32] for i in range(0, len(data), 32)]
+    return b"".join(bytes([len(run) - 1]) + run for run in runs)
+
+
+def pcd(encoding: str) -> bytes:
+    packed = (RGB.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)).astype("<u4")
+    rows = np.zeros(4, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("n", "<f4", 2), ("rgb", "<f4")])
+    for i, axis in enumerate("xyz"):
+        rows[axis] = XYZ[:, i]
+    rows["rgb"] = packed.view("<f4")
+    head = (
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z n rgb\n"
+        "SIZE 4 4 4 4 4\nTYPE F F F F F\nCOUNT 1 1 1 2 1\nWIDTH 2\nHEIGHT 2\n"
+        f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 4\nDATA {encoding}\n"
+    ).encode()
+    if encoding == "binary":
+        return head + rows.tobytes()
+    if encoding == "binary_compressed":
+        columns = b"".join(rows[name].tobytes() for name in rows.dtype.names or ())
+        squeezed = lzf(columns)
+        return head + struct.pack("<II", len(squeezed), len(columns)) + squeezed
+    lines = [
+        f"{x:.9g} {y:.9g} {z:.9g} 0 0 {c:.9g}"
+        for (x, y, z), c in zip(XYZ, rows["rgb"], strict=True)
+    ]
+    return head + "\n".join(lines).encode() + b"\n"
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
+def test_pcd(tmp_path: Path, encoding: str) -> None:
+    path = tmp_path / "cloud.dat"  # the suffix does not tell
+    path.write_bytes(pcd(encoding))
+    xyz, rgb = read(path)
+    np.testing.assert_allclose(xyz, XYZ, rtol=1e-6)
+    np.testing.assert_array_equal(rgb, RGB)
+    for cut in range(len(pcd(encoding)) - (20 if encoding == "ascii" else 1), 0, -23):
+        path.write_bytes(pcd(encoding)[:cut])
+        with pytest.raises(StageError) as caught:
+            read(path)
+        assert "\n" not in str(caught.value)
+
+
+def test_pcd_references_back(tmp_path: Path) -> None:
+    from spinpipe.stages.ingest.read_pcd import unpack_lzf
+
+    squeezed = np.frombuffer(bytes([2]) + b"abc" + bytes([(4 - 2) << 5, 2]), np.uint8)
+    unpacked = unpack_lzf(squeezed, 7)
+    assert unpacked is not None
+    assert unpacked.tobytes() == b"abcabca"
+    assert unpack_lzf(squeezed, 6) is None
+    assert unpack_lzf(squeezed[:-1], 7) is None
+    assert unpack_lzf(np.frombuffer(bytes([1 << 5, 9]), np.uint8), 3) is None
+
+
+@pytest.mark.parametrize("name", ["milk/milk.pcd", "mosd/test0.pcd"])
+def test_pcd_of_others(shared_data: Path, name: str) -> None:
+    xyz, _ = read(shared_data / name, 10_000)
+    finite = xyz[np.isfinite(xyz).all(axis=1)]
+    assert len(finite) > 10_000
+    assert np.ptp(finite, axis=0).max() < 10
+
+
+ROWS = "\n".join(" ".join(f"{v:.6f}" for v in row) for row in XYZ)
+COLOURED = "\n".join(
+    " ".join([*(f"{v:.6f}" for v in p), *map(str, c)]) for p, c in zip(XYZ, RGB, strict=True)
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "coloured"),
+    [
+        (ROWS, False),
+        (ROWS.replace(" ", "\t") + "\n\n", False),
+        (ROWS.replace(" ", ","), False),
+        (ROWS.replace(".", ","), False),
+        (ROWS.replace(".", ",").replace(" ", ";"), False),
+        ("# a comment\n" + ROWS, False),
+        ("4\n" + COLOURED, True),
+        ("x;y;z\n" + ROWS.replace(" ", ";"), False),
+        ("//X Y Z R G B\n" + COLOURED, True),
+        ("Easting,Northing,Elevation,Red,Green,Blue\r\n" + COLOURED.replace(" ", ","), True),
+        ("\n".join(f"{i} {row}" for i, row in enumerate(ROWS.split("\n"))), None),
+        ("id x y z\n" + "\n".join(f"{i} {row}" for i, row in enumerate(ROWS.split("\n"))), False),
+    ],
+)
+def test_text(tmp_path: Path, text: str, coloured: bool | None) -> None:
+    path = tmp_path / "cloud"
+    path.write_text(text)
+    xyz, rgb = read(path)
+    if coloured is None:  # unnamed columns: the first three
+        np.testing.assert_allclose(xyz[:, 1:], XYZ[:, :2], atol=1e-6)
+        return
+    np.testing.assert_allclose(xyz, XYZ, atol=1e-6)
+    assert open_scene(path).coloured == coloured
+    np.testing.assert_array_equal(rgb, RGB if coloured else np.full_like(RGB, 255))
+
+
+def test_damaged_text_names_the_place(tmp_path: Path) -> None:
+    path = tmp_path / "cloud.xyz"
+    path.write_text(ROWS + "\n1 2\n")
+    with pytest.raises(StageError, match="cannot read points 3 to 5 of 5"):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"PK\x03\x04 and more", "zip archive; unpack"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:0", "Git LFS pointer"),
+        (b"<!DOCTYPE html><html>", "a web page"),
+        (b"MVSI\x07\0\0\0", "OpenMVS project; give the PLY"),
+        (b"\0\x01\x02" * 50, "of no known format"),
+        (b"once upon a time\nthere was a cloud\n", "of no known format"),
+        (b"\0" * 100, "the file is empty"),
+    ],
+)
+def test_files_that_are_no_cloud(tmp_path: Path, content: bytes, message: str) -> None:
+    (tmp_path / "scene.bin").write_bytes(content)
+    with pytest.raises(StageError, match=message):
+        open_scene(tmp_path / "scene.bin")
+
+
+def ply(properties: list[str], rows: list[str], extra: str = "", after: str = "") -> bytes:
+    head = [f"ply\nformat ascii 1.0\nelement vertex {len(rows)}", *properties]
+    return ("\n".join(head) + extra + "\nend_header\n" + "\n".join(rows) + "\n" + after).encode()
+
+
+def test_ply_names_in_capitals_lists_and_decimal_commas(tmp_path: Path) -> None:
+    properties = ["property uchar Blue", "property list uchar int seen", "property double Z"]
+    properties += ["property double X", "property double Y", "property uchar Red"]
+    properties += ["property uchar Green"]
+    rows = [
+        f"{b} {i} {' '.join('7' * i)} {z} {x} {y} {r} {g}".replace(".", ",")
+        for i, ((x, y, z), (r, g, b)) in enumerate(zip(XYZ, RGB, strict=True))
+    ]
+    path = tmp_path / "cloud.ply"
+    path.write_bytes(ply(properties, rows))
+    xyz, rgb = read(path)
+    np.testing.assert_allclose(xyz, XYZ)
+    np.testing.assert_array_equal(rgb, RGB)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_ply_strips_are_unwound(tmp_path: Path, order: str) -> None:
+    corners = [(0, 0, 0), (0, 1, 0), (1, 0, 0), (1, 1, 0), (2, 0, 0), (5, 0, 0), (6, 0, 0)]
+    corners.append((5, 1, 0))
+    strip = [0, 1, 2, 3, 4, -1, 5, 6, 7]
+    head = (
+        f"ply\nformat binary_{'little' if order == '<' else 'big'}_endian 1.0\n"
+        f"element vertex {len(corners)}\nproperty float x\nproperty float y\nproperty float z\n"
+        "element tristrips 1\nproperty list int int vertex_indices\nend_header\n"
+    )
+    data = np.array(corners, order + "f4").tobytes()
+    path = tmp_path / "strip.ply"
+    path.write_bytes(head.encode() + data + struct.pack(f"{order}10i", len(strip), *strip))
+    mesh = read_mesh(path, "ply")
+    assert mesh is not None
+    assert mesh.faces.tolist() == [[0, 1, 2], [2, 1, 3], [2, 3, 4], [5, 6, 7]]
+    path.write_bytes(path.read_bytes()[:-3])
+    with pytest.raises(StageError, match="cut short, 1 of 1 faces"):
+        read_mesh(path, "ply")
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary"])
+def test_ply_polygons_agree_with_trimesh(tmp_path: Path, encoding: str) -> None:
+    sphere: Any = trimesh.creation.icosphere(2)
+    path = tmp_path / "sphere.ply"
+    sphere.export(path, encoding=encoding)
+    mesh = read_mesh(path, "ply")
+    assert mesh is not None
+    np.testing.assert_array_equal(mesh.faces, sphere.faces)
+    np.testing.assert_allclose(mesh.vertices, sphere.vertices, atol=1e-6)
+    assert open_model(path, None, None).closed
+
+
+def test_a_mesh_as_a_scene_is_sampled_and_said(tmp_path: Path) -> None:
+    box: Any = trimesh.creation.box(extents=(4, 2, 1))
+    box.visual.vertex_colors = np.tile([[10, 20, 30, 255]], (8, 1))
+    for suffix in (".ply", ".obj", ".glb", ".off", ".stl"):
+        box.export(tmp_path / f"box{suffix}")
+        source = open_scene(tmp_path / f"box{suffix}")
+        assert "points drawn from its 12 faces" in source.about.notes[0]
+        xyz, rgb = next(iter(source.chunks(50_000)))
+        on_face = np.isclose(np.abs(xyz), [2, 1, 0.5], atol=1e-6).any(axis=1)
+        assert on_face.all()
+        assert source.about.up == ((0, 1, 0) if suffix == ".glb" else None)
+        if suffix == ".ply":
+            np.testing.assert_array_equal(rgb[0], [10, 20, 30])
+
+
+def test_vertices_of_obj_files(tmp_path: Path) -> None:
+    lines = [f"v {x} {y} {z} {r / 255} {g / 255} {b / 255}" for (x, y, z), (r, g, b) in
+             zip(XYZ, RGB, strict=True)]  # fmt: skip
+    (tmp_path / "cloud.obj").write_text("# vertices\nmtllib no.mtl\n" + "\n".join(lines) + "\n")
+    xyz, _ = read(tmp_path / "cloud.obj")
+    np.testing.assert_allclose(xyz, XYZ)
+
+
+def test_dae_as_a_model(tmp_path: Path) -> None:
+    box: Any = trimesh.creation.box(bounds=[(0, 0, 0), (4, 2, 1)])
+    box.export(tmp_path / "box.dae")
+    model = open_model(tmp_path / "box.dae", "z", "x")
+    np.testing.assert_allclose(np.ptp(model.corners, axis=0), (4, 2, 1), atol=1e-6)
+    assert model.closed
+
+
+def test_las_whose_header_says_no_points(tmp_path: Path, shared_data: Path) -> None:
+    whole = (shared_data / "formats" / "laspy_las" / "simple.las").read_bytes()
+    expected, _ = read(shared_data / "formats" / "laspy_las" / "simple.las", 500)
+    path = tmp_path / "pipe.las"
+    path.write_bytes(whole[:107] + bytes(24) + whole[131:])
+    source = open_scene(path)
+    np.testing.assert_array_equal(np.concatenate([p for p, _ in source.chunks(500)]), expected)
+    assert "says 0 points, 1,065 are there" in source.about.notes[0]
+
+
+def test_las_that_claims_billions_of_records(shared_cases: Path) -> None:
+    with pytest.raises(StageError, match=r"claims 4,2\d\d,\d{3},\d{3} records"):
+        open_scene(shared_cases / "hostile" / "min_hang_vlrs.las")
+
+
+def test_colmap_agrees_with_colmap(shared_data: Path, tmp_path: Path) -> None:
+    import pycolmap
+
+    for name in ("brighton/colmap_sparse", "formats/colmap_old_bin/sparse/0"):
+        folder = shared_data / name
+        theirs: Any = pycolmap.Reconstruction(folder)
+        text = tmp_path / name
+        text.mkdir(parents=True)
+        theirs.write_text(text)
+        for path in (folder, text):
+            source = open_scene(path)
+            xyz = np.concatenate([xyz for xyz, _ in source.chunks(1000)])
+            rows = {tuple(np.round(p.xyz, 6)): tuple(p.color) for p in theirs.points3D.values()}
+            assert set(map(tuple, np.round(xyz, 6).tolist())) == set(rows)
+            cameras = source.about.cameras
+            assert cameras is not None
+            images = [theirs.images[key] for key in sorted(theirs.images)]
+            poses = [image.cam_from_world().inverse() for image in images]
+            assert cameras.names == tuple(image.name for image in images)
+            np.testing.assert_allclose(cameras.positions, [p.translation for p in poses], atol=1e-9)
+            turned = np.abs(
+                np.sum(cameras.quaternions_xyzw * [p.rotation.quat for p in poses], axis=1)
+            )
+            np.testing.assert_allclose(turned, 1, atol=1e-12)
+            for lens, image in zip(cameras.lenses, images, strict=True):
+                assert (lens.model, lens.width) == (image.camera.model.name, image.camera.width)
+                np.testing.assert_allclose(lens.params, image.camera.params)
+
+
+def test_a_colmap_model_that_hangs_colmap(shared_cases: Path) -> None:
+    with pytest.raises(StageError, match=r"cannot read the COLMAP model|cut short"):
+        list(open_scene(shared_cases / "hostile" / "hang_colmapbin").chunks(100))
+
+
+def test_fused_cloud_beside_the_model_is_preferred(tmp_path: Path, shared_data: Path) -> None:
+    import shutil
+
+    sparse = tmp_path / "dense" / "sparse"
+    shutil.copytree(shared_data / "formats" / "colmap_old_bin" / "dense" / "sparse", sparse)
+    assert open_scene(sparse).points == 699
+    fused = shared_data / "formats" / "colmap_fused_vis" / "fused.ply"
+    shutil.copy(fused, tmp_path / "dense" / "fused.ply")
+    for folder in (tmp_path, tmp_path / "dense", sparse):
+        source = open_scene(folder)
+        assert source.points == 924
+        assert source.about.cameras is not None
+        assert len(source.about.cameras.positions) == 7
+
+
+def test_bundler_and_opensfm(shared_data: Path) -> None:
+    bundler = open_scene(shared_data / "brighton" / "pmvs" / "bundle.rd.out")
+    colmap = open_scene(shared_data / "brighton" / "colmap_sparse")
+    assert bundler.about.cameras is not None
+    assert colmap.about.cameras is not None
+    # The same photos, placed alike by the file that COLMAP exported
+    places = [s.about.cameras.positions for s in (bundler, colmap)]
+    apart = np.linalg.norm(places[0][:, None] - places[1][None], axis=2).min(axis=1)
+    assert np.median(apart) < 0.01
+    forward = bundler.about.cameras.quaternions_xyzw
+    x, y = forward[:, 0], forward[:, 1]
+    assert (1 - 2 * (x * x + y * y) < -0.95).all()  # the photos look down
+
+    kermit = open_scene(shared_data / "formats" / "pmvs_bundler_kermit" / "bundle.out")
+    assert kermit.points > 500
+    berlin = open_scene(shared_data / "formats" / "opensfm" / "reconstruction_example.json")
+    assert berlin.points > 1000
+    assert berlin.about.cameras is not None
+
+
+def test_pmvs_patches(tmp_path: Path) -> None:
+    patches = "".join(
+        f"PATCHS\n{x} {y} {z} 1\n0 0 1 0\n0.9 1 1\n2\n0 1\n0\n\n\n" for x, y, z in XYZ
+    )
+    path = tmp_path / "option-0000.patch"
+    path.write_text(f"PATCHES\n{len(XYZ)}\n{patches}")
+    xyz, _ = read(path)
+    np.testing.assert_allclose(xyz, XYZ)
+    path.write_text(f"PATCHES\n{len(XYZ) + 1}\n{patches}")
+    with pytest.raises(StageError, match="cannot read the PMVS patch file"):
+        read(path)
