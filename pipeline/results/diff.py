@@ -15,7 +15,7 @@ from scipy.optimize import linear_sum_assignment
 from spinpipe.pipeline.context import RunReader
 from spinpipe.pipeline.results.complete import open_complete
 from spinpipe.schemas import DETECTIONS, SCENE
-from spinpipe.schemas.records import Detection
+from spinpipe.schemas.records import Detection, Vector
 
 MOVED_M, TURNED_DEG = 0.05, 2.0
 """Less is no difference worth a row."""
@@ -54,16 +54,16 @@ def _accepted(detections: Sequence[Detection]) -> list[Detection]:
 
 
 def compare(
-    before: Sequence[Detection], after: Sequence[Detection], metres: float = 1.0
+    before: Sequence[Detection], after: Sequence[Detection], metres: Vector = (1.0, 1.0, 1.0)
 ) -> list[Difference]:
     """Match accepted detections one to one by their places in the scene.
 
     Two are the same object if they are nearer than half the shorter horizontal side of the larger
     one; of all matchings the one with the least sum of distances is taken. ``metres`` are those
-    that a unit of the scene has.
+    that a unit of the scene has along x, y and z.
     """
     a, b = (np.array([d.position_scene for d in x]).reshape(-1, 3) for x in (before, after))
-    distance_m = metres * np.linalg.norm(a[:, None] - b[None], axis=2)
+    distance_m = np.linalg.norm((a[:, None] - b[None]) * metres, axis=2)
     reach = np.maximum(
         np.array([min(d.size_m[:2]) / 2 for d in before]).reshape(-1, 1),
         np.array([min(d.size_m[:2]) / 2 for d in after]).reshape(1, -1),

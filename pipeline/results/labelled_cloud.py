@@ -35,7 +35,7 @@ def write_las(read: ReadTopic, detections: Sequence[Detection], path: Path) -> N
     T_scene_world = inverse(world_from_scene(scene, upright))
     header = laspy.LasHeader(point_format=7, version="1.4")
     header.add_extra_dim(laspy.ExtraBytesParams("object_id", "int32", "detection, -1: none"))
-    header.scales = np.full(3, MILLIMETRE / scene.scale)
+    header.scales = MILLIMETRE / np.array(scene.scale)
     header.offsets = np.floor(scene.origin)
     if crs := scene_crs(scene):
         from pyproj import CRS

@@ -76,7 +76,7 @@ def detection(number: int = 0, fate: str = "accepted", model: str = "plate") -> 
 
 
 MODELS = {"plate": PLATE, "cloud": CLOUD}
-SCENE = SceneFrame((0.0, 0.0, 0.0), 1.0, 4, 0, False, "made up")
+SCENE = SceneFrame((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 4, 0, False, "made up")
 
 
 def export(folder: Path, detections: list[Detection], name: str) -> Path:
