@@ -246,5 +246,5 @@ def _own_spin(world: F32, place: Vector | None, model: SpinImage | None, hits: H
     if not near.any():
         return np.empty((0, 0), np.float32)
     best = np.flatnonzero(near)[np.argmax(hits.correlation[near])]
-    grid = SpinGrid(model.radius_m, model.height_m, model.bin_m)
+    grid = SpinGrid.of(model.radius_m, model.height_m, model.bin_m)
     return spin_image(world, hits.points[best], grid).astype(np.float32)

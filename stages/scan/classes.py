@@ -45,7 +45,7 @@ class Classes(NamedTuple):
 
 
 class TestScratch(NamedTuple):
-    """Memory of one thread for tests: of the largest grid and the widest group."""
+    """Memory of one thread for tests: of the widest group."""
 
     numbers: NDArray[np.int32]
     lanes: NDArray[np.int32]
@@ -81,18 +81,14 @@ def lay_out(rows, cols, d, e):
     )  # fmt: skip
 
 
-def make_test_scratch(sizes: NDArray[np.int32]) -> TestScratch:
-    """Allocate one thread's memory for tests with grids of these (rows, cols)."""
-    tallies = half = 0
-    for rows, cols in sizes:
-        widest = lay_out.py_func(rows, cols, MAX_SHIFT_BINS + 1, MAX_LIFT_BINS + 1)
-        tallies = max(tallies, 2 * int(widest.rows) * int(widest.half))
-        half = max(half, int(widest.half))
-    rows = int(sizes[:, 0].max())
+def make_test_scratch(rows: int, cols: int) -> TestScratch:
+    """Allocate one thread's memory for tests with a grid of this shape."""
+    widest = lay_out.py_func(rows, cols, MAX_SHIFT_BINS + 1, MAX_LIFT_BINS + 1)
+    half = int(widest.half)
     return TestScratch(
         np.empty(BUFFER, np.int32),
         idle_lanes(),
-        np.empty((COPIES, tallies + LANES), np.uint32),
+        np.empty((COPIES, 2 * int(widest.rows) * half + LANES), np.uint32),
         np.empty((rows, half), np.float32),
         np.empty((rows, 2 * half), np.float32),
         np.empty((2, rows, half), np.float32),
@@ -121,10 +117,10 @@ def _number_classes(x, y, z, mx, my, mz, reach_sq, scale, bottom, classes, lanes
 
 
 @inner
-def count_classes(near, begin, end, mx, my, mz, reach_sq, bins, classes, scratch):
+def count_classes(near, begin, end, mx, my, mz, reach_sq, grid, classes, scratch):
     """Count the classes of ``near[begin:end]`` into ``scratch.tallies[0]``; return their sum."""
     size = np.int64(classes.rows) * 2 * classes.half
-    bottom = np.float32(bins.height * bins.scale + classes.shift_row + MARGIN_BINS)
+    bottom = np.float32(grid.height * grid.bins_per_m + classes.shift_row + MARGIN_BINS)
     for copy in range(COPIES):
         fill(scratch.tallies[copy, : size + LANES], 0)
     t0, t1 = scratch.tallies[0], scratch.tallies[1]
@@ -134,7 +130,7 @@ def count_classes(near, begin, end, mx, my, mz, reach_sq, bins, classes, scratch
         numbers = scratch.numbers[:whole]
         _number_classes(
             near.x[at : at + whole], near.y[at : at + whole], near.z[at : at + whole],
-            mx, my, mz, reach_sq, bins.scale, bottom, classes, scratch.lanes, numbers,
+            mx, my, mz, reach_sq, grid.bins_per_m, bottom, classes, scratch.lanes, numbers,
         )  # fmt: skip
         for j in range(0, n // 2 * 2, 2):
             t0[np.uint32(numbers[j])] += np.uint32(1)

@@ -6,15 +6,15 @@ one that touches it comes within ``margin`` of the least correlation.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.schemas.records import F32
 from spinpipe.stages.scan.correlate import BELOW, ScanWork, correlate
-from spinpipe.stages.scan.image import SpinTemplate
 from spinpipe.stages.scan.index import SpinIndex
+from spinpipe.stages.scan.templates import Templates
 from spinpipe.stages.scan.voxels import Voxels
 
 VOXEL_RADII = 1 / 8
@@ -32,7 +32,7 @@ def correlate_coarse_to_fine(
     index: SpinIndex,
     origins: F32,
     own: NDArray[np.bool_],
-    templates: Sequence[SpinTemplate],
+    templates: Templates,
     threads: int = 1,
     *,
     min_correlation: float,
@@ -51,7 +51,7 @@ def correlate_coarse_to_fine(
         World, metres; those asked for and all others within ``halo_m`` of them.
     own : (M,) bool array
         Which of them are asked for.
-    templates : sequence of SpinTemplate
+    templates : Templates
     threads : int
     min_correlation : float
         Least correlation of a hit.
@@ -66,13 +66,13 @@ def correlate_coarse_to_fine(
 
     Returns
     -------
-    (len(templates), own.sum()) float32 array
+    (T, own.sum()) float32 array
         ``BELOW`` for origins left out.
     """
     promise = min_correlation - margin
     voxels = Voxels.of(origins, voxel_m)
     rows = voxels.representatives
-    found = np.full((len(templates), len(origins)), BELOW)
+    found = np.full((templates.size, len(origins)), BELOW)
     found[:, rows] = correlate(
         index,
         origins[rows],

@@ -8,7 +8,7 @@ correlation the scan also proves for whole groups of origins that none of them i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.stages.scan.classes import make_test_scratch
-from spinpipe.stages.scan.count import Templates, make_scratch
-from spinpipe.stages.scan.gather import IndexArrays
-from spinpipe.stages.scan.image import SpinGrid, SpinTemplate
+from spinpipe.stages.scan.count import make_scratch
+from spinpipe.stages.scan.image import SpinGrid
 from spinpipe.stages.scan.index import SpinIndex, build_index, side_for, sort_by_cell
 from spinpipe.stages.scan.kernel import count_blocks, prune_blocks, scan_blocks
+from spinpipe.stages.scan.templates import Templates
 from spinpipe.stages.threads import map_threads
 
 __all__ = ["BELOW", "ScanWork", "SpinIndex", "build_index", "correlate", "histograms"]
@@ -30,9 +30,6 @@ BELOW = np.float32(-1)
 
 CHUNK_ORIGINS = 8192
 """Origins handed to a thread at once."""
-
-LARGEST_PART = 2**30
-"""Integer that stands for a template's largest value."""
 
 SHARING = 64
 """Origins of a block among which the cost of gathering is small."""
@@ -67,9 +64,7 @@ def histograms(index: SpinIndex, origins: NDArray[Any], grid: SpinGrid) -> NDArr
     """
     blocks = OriginBlocks.of(origins, grid.radius_m / 5, 256)
     counted = np.zeros((len(blocks.order), grid.k), np.uint32)
-    tables = _tables([], [grid], None)
-    scratch = make_scratch(tables.sizes)
-    count_blocks(_arrays(index), blocks.origins, blocks.start, tables, scratch, counted)
+    count_blocks(index, blocks.origins, blocks.start, grid, make_scratch(grid.k), counted)
     images = np.empty_like(counted)
     images[blocks.order] = counted
     return images.reshape(-1, *grid.shape)
@@ -78,7 +73,7 @@ def histograms(index: SpinIndex, origins: NDArray[Any], grid: SpinGrid) -> NDArr
 def correlate(
     index: SpinIndex,
     origins: NDArray[Any],
-    templates: Sequence[SpinTemplate],
+    templates: Templates,
     threads: int = 1,
     *,
     min_correlation: float | None = None,
@@ -87,14 +82,12 @@ def correlate(
 ) -> NDArray[np.float32]:
     """Correlation of the spin image at every origin with every template, in one pass.
 
-    Templates may differ in grid, values and weights; those of one grid share its histogram.
-
     Parameters
     ----------
     index : SpinIndex
     origins : (M, 3) array
         In the index's frame, metres; taken as float32.
-    templates : sequence of SpinTemplate
+    templates : Templates
     threads : int
         Threads to use; the result is the same for any number.
     min_correlation : float, optional
@@ -108,7 +101,7 @@ def correlate(
 
     Returns
     -------
-    (len(templates), M) float32 array
+    (T, M) float32 array
 
     Raises
     ------
@@ -117,29 +110,24 @@ def correlate(
     """
     if min_correlation is not None and not min_correlation > 0:
         raise ValueError(f"correlate: min_correlation is {min_correlation}; it must be positive")
-    grids = list(dict.fromkeys(t.grid for t in templates))
-    radius = max((g.radius_m for g in grids), default=1.0)
+    grid = templates.grid
     if min_correlation is None:
-        blocks = OriginBlocks.of(origins, radius / 5, 256, widest_m=radius / 2.5)
+        blocks = OriginBlocks.of(origins, grid.radius_m / 5, 256, widest_m=grid.radius_m / 2.5)
     else:
-        blocks = OriginBlocks.of(origins, radius / 3.5, 4096)
-    found = np.full((len(templates), len(blocks.order)), BELOW)
-    if not templates:
-        return found
-    rows = sorted(range(len(templates)), key=lambda row: grids.index(templates[row].grid))
-    tables = _tables([templates[row] for row in rows], grids, min_correlation)
-    arrays = _arrays(index)
+        blocks = OriginBlocks.of(origins, grid.radius_m / 3.5, 4096)
+    found = np.full((templates.size, len(blocks.order)), BELOW)
 
     def scan(chunk: tuple[int, int]) -> tuple[int, NDArray[np.int64]]:
         first, last = chunk
         start = blocks.start
         cost = np.zeros(3, np.int64)
-        given = (arrays, blocks.origins, start[first : last + 1], tables)
-        scratch = make_scratch(tables.sizes)
+        given = (index, blocks.origins, start[first : last + 1], templates)
+        scratch = make_scratch(grid.k)
         if min_correlation is None:
             scan_blocks(*given, scratch, found, cost)
         else:
-            prune_blocks(*given, scratch, make_test_scratch(tables.sizes), found, cost)
+            tests, least = make_test_scratch(*grid.shape), np.float32(min_correlation)
+            prune_blocks(*given, least, scratch, tests, found, cost)
         return int(start[last] - start[first]), cost
 
     for count, (visits, tests, scanned) in map_threads(scan, blocks.chunks(), threads):
@@ -151,8 +139,7 @@ def correlate(
         if advance is not None:
             advance(count)
     correlations = np.empty_like(found)
-    for row, line in zip(rows, found, strict=True):
-        correlations[row, blocks.order] = line
+    correlations[:, blocks.order] = found
     return correlations
 
 
@@ -209,37 +196,3 @@ class OriginBlocks:
             last = min(max(last, first + 1), self.count)
             yield first, last
             first = last
-
-
-def _arrays(index: SpinIndex) -> IndexArrays:
-    return IndexArrays(
-        index.xyz, index.start, index.key, index.bounds, index.corner, index.cells, index.cell_m
-    )
-
-
-def _tables(
-    templates: Sequence[SpinTemplate], grids: Sequence[SpinGrid], least: float | None
-) -> Templates:
-    """Grids and templates, in the order of their grids, as arrays for the kernels."""
-    widest = max(g.k for g in grids)
-    weights, values = np.zeros((2, len(templates), widest))
-    for row, template in enumerate(templates):
-        w = template.unit_weights()
-        weights[row, : len(w)] = w
-        values[row, : len(w)] = w * template.unit_values()
-    grid_of = np.array([grids.index(t.grid) for t in templates], np.int64)
-    alike = np.zeros(len(templates), np.bool_)
-    alike[1:] = (grid_of[1:] == grid_of[:-1]) & (weights[1:] == weights[:-1]).all(axis=1)
-    unit = np.maximum(np.abs(values).max(axis=1, initial=0.0), 1e-300) / LARGEST_PART
-    return Templates(
-        np.array([[g.radius_sq, g.height, g.bins_per_m] for g in grids], np.float32),
-        np.array([g.shape for g in grids], np.int32),
-        np.searchsorted(grid_of, np.arange(len(grids) + 1)),
-        alike,
-        np.array([t.weights is None for t in templates], np.bool_),
-        weights,
-        values,
-        np.rint(values / unit[:, None]).astype(np.int32),
-        unit,
-        np.full(len(templates), BELOW if least is None else least, np.float32),
-    )

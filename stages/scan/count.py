@@ -25,39 +25,6 @@ COPIES = 4
 """Interleaved histograms: the same counter is rarely needed before its last store is done."""
 
 
-class Bins(NamedTuple):
-    """A ``SpinGrid`` as the kernels use it."""
-
-    radius_sq: np.float32
-    height: np.float32
-    scale: np.float32
-    rows: np.int32
-    cols: np.int32
-
-
-class Templates(NamedTuple):
-    """Grids and templates as arrays.
-
-    ``numbers`` (G, 3) float32: radius_sq, height and bins_per_m of each grid; ``sizes`` (G, 2)
-    int32: rows and cols; ``first`` (G + 1,) int64: first template of each grid; ``alike`` (T,):
-    whether a template has the grid and the weights of the one before; ``even`` (T,): whether it
-    weighs all bins alike; ``weights`` (T, widest k) float64, of sum 1; ``values`` (T, widest k)
-    float64: weights times unit values; ``parts`` (T, widest k) int32: the same in units of ``unit``
-    (T,) float64; ``least`` (T,) float32: least correlation of a hit.
-    """
-
-    numbers: NDArray[np.float32]
-    sizes: NDArray[np.int32]
-    first: NDArray[np.int64]
-    alike: NDArray[np.bool_]
-    even: NDArray[np.bool_]
-    weights: NDArray[np.float64]
-    values: NDArray[np.float64]
-    parts: NDArray[np.int32]
-    unit: NDArray[np.float64]
-    least: NDArray[np.float32]
-
-
 class Scratch(NamedTuple):
     """Memory of one thread, used again for every origin.
 
@@ -78,9 +45,8 @@ def idle_lanes() -> NDArray[np.int32]:
     return np.arange(BUFFER, dtype=np.int32) % np.int32(LANES)
 
 
-def make_scratch(sizes: NDArray[np.int32]) -> Scratch:
-    """Allocate one thread's memory for grids of these (rows, cols)."""
-    k = int(sizes.prod(axis=1).max())
+def make_scratch(k: int) -> Scratch:
+    """Allocate one thread's memory for a grid of ``k`` bins."""
     return Scratch(
         np.empty(BUFFER, np.int32),
         idle_lanes(),
@@ -92,17 +58,10 @@ def make_scratch(sizes: NDArray[np.int32]) -> Scratch:
 
 
 @inner
-def grid_bins(templates, g):
-    """Return grid ``g`` of the table as ``Bins``."""
-    numbers, sizes = templates.numbers, templates.sizes
-    return Bins(numbers[g, 0], numbers[g, 1], numbers[g, 2], sizes[g, 0], sizes[g, 1])
-
-
-@inner
-def _bin_points(x, y, z, ox, oy, oz, bins, lanes, numbers):
+def _bin_points(x, y, z, ox, oy, oz, grid, lanes, numbers):
     """Find each point's bin number, beyond the bins for those outside the image (vectorised)."""
-    radius_sq, height, scale, cols = bins.radius_sq, bins.height, bins.scale, bins.cols
-    outside = bins.rows * cols
+    radius_sq, height, scale, cols = grid.radius_sq, grid.height, grid.bins_per_m, grid.cols
+    outside = grid.rows * cols
     for j in range(len(x)):
         dx = x[j] - ox
         dy = y[j] - oy
@@ -128,15 +87,15 @@ def _count_numbers(numbers, counts):
 
 
 @inlined
-def count_origin(near, ox, oy, oz, bins, scratch):
+def count_origin(near, ox, oy, oz, grid, scratch):
     """Count one origin's spin image into ``scratch.image``; return the points visited.
 
     Where there are none the image is left as it was.
     """
-    begin, end = depth_window(near, oz, oz, bins.height)
+    begin, end = depth_window(near, oz, oz, grid.height)
     if begin >= end:
         return 0
-    k = np.int64(bins.rows) * bins.cols
+    k = np.int64(grid.rows) * grid.cols
     image, counts = scratch.image, scratch.counts
     for copy in range(COPIES):
         fill(counts[copy, : k + LANES], 0)
@@ -145,7 +104,7 @@ def count_origin(near, ox, oy, oz, bins, scratch):
         whole = (n + LANES - 1) // LANES * LANES
         _bin_points(
             near.x[at : at + whole], near.y[at : at + whole], near.z[at : at + whole],
-            ox, oy, oz, bins, scratch.lanes, scratch.numbers[:whole],
+            ox, oy, oz, grid, scratch.lanes, scratch.numbers[:whole],
         )  # fmt: skip
         _count_numbers(scratch.numbers[:n], counts)
     h0, h1, h2, h3 = counts[0], counts[1], counts[2], counts[3]
@@ -202,48 +161,34 @@ def _product(image, parts):
 
 
 @inner
-def correlate_counted(templates, g, wanted, scratch, out):
-    """Correlate the image just counted with the wanted templates of grid ``g`` into ``out`` (T,).
+def correlate_counted(templates, wanted, scratch, out):
+    """Correlate the image just counted with the wanted templates into ``out`` (T,).
 
     See ``image.correlation``; templates of equal weights share the image's deviation.
     """
-    k = np.int64(templates.sizes[g, 0]) * templates.sizes[g, 1]
     deviation = -1.0
-    for t in range(templates.first[g], templates.first[g + 1]):
+    for t in range(len(wanted)):
         if not templates.alike[t]:
             deviation = -1.0
         if wanted[t]:
             if deviation < 0:
                 if templates.even[t]:
-                    deviation = _even_deviation(scratch.moments, k)
+                    deviation = _even_deviation(scratch.moments, len(scratch.image))
                 else:
-                    weights = templates.weights[t, :k]
+                    weights = templates.weights[t]
                     deviation = _deviation(scratch.image, weights, scratch.sums[0], scratch.sums[1])
             out[t] = np.float32(0)
             if deviation > 0:
-                product = templates.unit[t] * _product(scratch.image, templates.parts[t, :k])
+                product = templates.unit[t] * _product(scratch.image, templates.parts[t])
                 out[t] = np.float32(min(max(product / deviation, -1.0), 1.0))
 
 
 @inner
 def correlate_origin(near, ox, oy, oz, templates, wanted, scratch, out):
     """Correlate one origin with the wanted templates into ``out`` (T,); return the visits."""
-    visits = 0
-    for g in range(len(templates.sizes)):
-        if wants_grid(templates, wanted, g):
-            seen = count_origin(near, ox, oy, oz, grid_bins(templates, g), scratch)
-            visits += seen
-            if seen > 0:
-                correlate_counted(templates, g, wanted, scratch, out)
-            else:
-                fill(out[templates.first[g] : templates.first[g + 1]], np.float32(0))
+    visits = count_origin(near, ox, oy, oz, templates.grid, scratch)
+    if visits > 0:
+        correlate_counted(templates, wanted, scratch, out)
+    else:
+        fill(out, np.float32(0))
     return visits
-
-
-@inner
-def wants_grid(templates, wanted, g):
-    """Tell whether a wanted template has grid ``g``."""
-    for t in range(templates.first[g], templates.first[g + 1]):  # noqa: SIM110 (no generators here)
-        if wanted[t]:
-            return True
-    return False

@@ -11,7 +11,7 @@ every point in the box: skipping is exact.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,18 +30,6 @@ PLACES = 2
 """Counters of a bucket, used in turn."""
 PAD = 64
 """Points readable past the end of a run."""
-
-
-class IndexArrays(NamedTuple):
-    """The arrays of a ``SpinIndex``."""
-
-    xyz: Any
-    start: Any
-    key: Any
-    bounds: Any
-    corner: Any
-    cells: Any
-    cell_m: Any
 
 
 class Nearby(NamedTuple):

@@ -11,23 +11,19 @@ integers; see ``SpinGrid`` for the exact rule.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.stages.geometry.model_surface import topmost_point
 from spinpipe.stages.scan.count import FLAT_VARIANCE
 
 MAX_BINS = 60_000
 """Most bins of one grid: the kernels hold bin numbers in 16 bits."""
 
 
-@dataclass(frozen=True)
-class SpinGrid:
-    """Extent and bins of a spin image [Bovenkamp 2010, section 2.1].
+class SpinGrid(NamedTuple):
+    """Extent and bins of a spin image [Bovenkamp 2010, section 2.1]; made by ``SpinGrid.of``.
 
     A point at horizontal distance ``a`` from the origin and depth ``b`` below it is counted when
     ``a < radius_m`` and ``0 < b < height_m``, in row ``floor(b / bin_m)`` and column
@@ -40,83 +36,63 @@ class SpinGrid:
     ``0.3 / 0.1`` may lie just beside a whole number in binary. ``bins_per_m`` is ``1 / bin_m``,
     lowered by the few float32 steps (mostly none) that keep every counted point within the last
     row and column.
-
-    Parameters
-    ----------
-    radius_m : float
-        Horizontal reach ``a_max``, metres.
-    height_m : float
-        Reach ``h`` below the origin, metres.
-    bin_m : float
-        Side ``rho`` of a bin, metres.
-
-    Raises
-    ------
-    ValueError
-        A size is not a positive number, or the grid has more than ``MAX_BINS`` bins.
     """
 
     radius_m: float
+    """Horizontal reach ``a_max``."""
     height_m: float
+    """Reach ``h`` below the origin."""
     bin_m: float
+    """Side ``rho`` of a bin."""
+    radius_sq: np.float32
+    """Least float32 whose root in float32 reaches the radius: the bound on ``a2``."""
+    height: np.float32
+    """``height_m`` in float32, the bound on ``b``."""
+    bins_per_m: np.float32
+    rows: np.int32
+    """Number of depth bins, n; 32 bits as the kernels' bin numbers."""
+    cols: np.int32
+    """Number of distance bins, m."""
 
-    def __post_init__(self) -> None:
-        for name in ("radius_m", "height_m", "bin_m"):
-            value = getattr(self, name)
+    @classmethod
+    def of(cls, radius_m: float, height_m: float, bin_m: float) -> SpinGrid:
+        """Grid of these sizes; ``ValueError`` unless they are positive and make few enough bins."""
+        sizes = {"radius_m": radius_m, "height_m": height_m, "bin_m": bin_m}
+        for name, value in sizes.items():
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"SpinGrid: {name} is {value}; it must be a positive number")
-        if self.k > MAX_BINS:
+        rows, cols = _ceil_quotient(height_m, bin_m), _ceil_quotient(radius_m, bin_m)
+        if rows * cols > MAX_BINS:
             raise ValueError(
-                f"SpinGrid: {self.rows} x {self.cols} bins are more than {MAX_BINS}; "
-                "use larger bins"
+                f"SpinGrid: {rows} x {cols} bins are more than {MAX_BINS}; use larger bins"
             )
-
-    @property
-    def rows(self) -> int:
-        """Number of depth bins, n."""
-        return _ceil_quotient(self.height_m, self.bin_m)
-
-    @property
-    def cols(self) -> int:
-        """Number of distance bins, m."""
-        return _ceil_quotient(self.radius_m, self.bin_m)
-
-    @property
-    def k(self) -> int:
-        """Number of bins, n * m."""
-        return self.rows * self.cols
+        zero, height, radius_sq = np.float32(0), np.float32(height_m), _square_bound(radius_m)
+        farthest, deepest = np.sqrt(np.nextafter(radius_sq, zero)), np.nextafter(height, zero)
+        bins_per_m = np.float32(1.0 / bin_m)
+        while farthest * bins_per_m >= cols or deepest * bins_per_m >= rows:
+            bins_per_m = np.nextafter(bins_per_m, zero)
+        exact = (radius_sq, height, bins_per_m, np.int32(rows), np.int32(cols))
+        return cls(radius_m, height_m, bin_m, *exact)
 
     @property
     def shape(self) -> tuple[int, int]:
         """``(rows, cols)``."""
-        return self.rows, self.cols
-
-    @cached_property
-    def radius_sq(self) -> np.float32:
-        """Least float32 whose root in float32 reaches the radius: the bound on ``a2``."""
-        radius = np.float32(self.radius_m)
-        bound = radius * radius
-        while np.sqrt(bound) >= radius:
-            bound = np.nextafter(bound, np.float32(0))
-        while np.sqrt(bound) < radius:
-            bound = np.nextafter(bound, np.float32(np.inf))
-        return bound
+        return int(self.rows), int(self.cols)
 
     @property
-    def height(self) -> np.float32:
-        """Height in float32, the bound on ``b``."""
-        return np.float32(self.height_m)
+    def k(self) -> int:
+        """Number of bins, n * m."""
+        return int(self.rows) * int(self.cols)
 
-    @cached_property
-    def bins_per_m(self) -> np.float32:
-        """Factor from metres to bins in float32."""
-        zero = np.float32(0)
-        farthest = np.sqrt(np.nextafter(self.radius_sq, zero))
-        deepest = np.nextafter(self.height, zero)
-        factor = np.float32(1.0 / self.bin_m)
-        while farthest * factor >= self.cols or deepest * factor >= self.rows:
-            factor = np.nextafter(factor, zero)
-        return factor
+
+def _square_bound(radius_m: float) -> np.float32:
+    radius = np.float32(radius_m)
+    bound = radius * radius
+    while np.sqrt(bound) >= radius:
+        bound = np.nextafter(bound, np.float32(0))
+    while np.sqrt(bound) < radius:
+        bound = np.nextafter(bound, np.float32(np.inf))
+    return bound
 
 
 def _ceil_quotient(length: float, step: float) -> int:
@@ -183,99 +159,12 @@ def correlation(
     dc = c - math.fsum(w * c) / total
     dt = t - math.fsum(w * t) / total
     var_c, var_t = math.fsum(w * dc * dc), math.fsum(w * dt * dt)
-    if _is_flat(var_c, math.fsum(w * c * c)) or _is_flat(var_t, math.fsum(w * t * t)):
+    if is_flat(var_c, math.fsum(w * c * c)) or is_flat(var_t, math.fsum(w * t * t)):
         return 0.0
     r = math.fsum(w * dc * dt) / (math.sqrt(var_c) * math.sqrt(var_t))
     return min(1.0, max(-1.0, r))
 
 
-def _is_flat(variance: float, mean_square: float) -> bool:
+def is_flat(variance: float, mean_square: float) -> bool:
+    """Whether an image counts as constant, from its variance and its mean square."""
     return variance <= FLAT_VARIANCE * mean_square
-
-
-@dataclass(frozen=True, eq=False)
-class SpinTemplate:
-    """What a scan looks for: the model's spin image and how much each bin counts.
-
-    Parameters
-    ----------
-    grid : SpinGrid
-    values : (rows, cols) array
-        Kept as float64.
-    weights : (rows, cols) array, optional
-        Not negative, not all zero; None weighs all bins alike.
-
-    Raises
-    ------
-    ValueError
-        A shape does not fit the grid, a number is not finite, or the weights are unusable.
-    """
-
-    grid: SpinGrid
-    values: NDArray[np.float64]
-    weights: NDArray[np.float64] | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("values", "weights"):
-            given = getattr(self, name)
-            if given is None and name == "weights":
-                continue
-            array = np.array(given, dtype=np.float64)
-            if array.shape != self.grid.shape:
-                raise ValueError(
-                    f"SpinTemplate: {name} have shape {array.shape}, the grid {self.grid.shape}"
-                )
-            if not np.isfinite(array).all():
-                raise ValueError(f"SpinTemplate: {name} hold NaN or infinite numbers")
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
-        if self.weights is not None and (self.weights.min() < 0 or self.weights.max() <= 0):
-            raise ValueError("SpinTemplate: weights must not be negative nor all zero")
-
-    def unit_weights(self) -> NDArray[np.float64]:
-        """Weights as a (k,) array whose sum is 1."""
-        w = np.ones(self.grid.k) if self.weights is None else self.weights.ravel()
-        return w / math.fsum(w)
-
-    def unit_values(self) -> NDArray[np.float64]:
-        """Values as a (k,) array with weighted mean 0 and weighted square sum 1.
-
-        All zero where the template is constant, so that its correlations are 0.
-        """
-        w, t = self.unit_weights(), self.values.ravel()
-        dt = t - math.fsum(w * t)
-        variance = math.fsum(w * dt * dt)
-        if _is_flat(variance, math.fsum(w * t * t)):
-            return np.zeros(self.grid.k)
-        return dt / math.sqrt(variance)
-
-
-def template_from_cloud(
-    points: NDArray[Any],
-    grid: SpinGrid,
-    *,
-    origin: NDArray[Any] | None = None,
-    weights: NDArray[Any] | None = None,
-) -> SpinTemplate:
-    """Spin image of an object at its topmost point [Bovenkamp 2010, section 2.1].
-
-    Parameters
-    ----------
-    points : (N, 3) array
-        The object's surface, object frame (z up), metres.
-    grid : SpinGrid
-    origin : (3,) array, optional
-        Another origin than the topmost point.
-    weights : (rows, cols) array, optional
-        Weights of the bins, see ``SpinTemplate``.
-
-    Raises
-    ------
-    ValueError
-        The cloud is empty or not finite.
-    """
-    cloud = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-    centre = topmost_point(cloud) if origin is None else np.asarray(origin, dtype=np.float64)
-    # Metres around the origin in float64 first: an object may lie far from zero.
-    image = spin_image(cloud - centre, np.zeros(3), grid)
-    return SpinTemplate(grid, image.astype(np.float64), weights)

@@ -7,21 +7,18 @@ outside is skipped without touching its points.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spinpipe.stages.scan.gather import PAD
+
 POINTS_PER_CELL = 128
 """Aim of the side of a cell unless given."""
 
-PAD = 64
-"""Points readable past the end: kernels read whole blocks of lanes."""
 
-
-@dataclass(frozen=True, eq=False)
-class SpinIndex:
+class SpinIndex(NamedTuple):
     """World points sorted by cell and height.
 
     Only cells that hold points are stored, so far outliers cost nothing.

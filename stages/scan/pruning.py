@@ -29,7 +29,7 @@ from spinpipe.stages.scan.classes import (
     mean_image,
     widened,
 )
-from spinpipe.stages.scan.count import correlate_origin, grid_bins, wants_grid
+from spinpipe.stages.scan.count import correlate_origin
 from spinpipe.stages.scan.gather import depth_window, fill
 
 LIFT_WEIGHT = 6.0
@@ -48,9 +48,9 @@ STACK = 160
 
 
 @inner
-def _bin_values(bins, weights, values, least, shift, scratch):
+def _bin_values(grid, weights, values, least, shift, scratch):
     """Fill ``f``, shifted by ``shift`` columns; return its sum over the mean image and its size."""
-    rows, cols = np.int64(bins.rows), np.int64(bins.cols)
+    rows, cols = np.int64(grid.rows), np.int64(grid.cols)
     middle = scratch.middle
     mean = square = product = 0.0
     for r in range(rows):
@@ -71,12 +71,12 @@ def _bin_values(bins, weights, values, least, shift, scratch):
             line[c] = np.float32(values[i] - weights[i] * factor * (middle[r, c] - mean))
             largest = max(largest, abs(line[c]))
     # The last row and column may reach beyond the image.
-    if bins.height * bins.scale < rows - MARGIN_BINS:
+    if grid.height * grid.bins_per_m < rows - MARGIN_BINS:
         for c in range(cols):
             scratch.value[rows - 1, shift + c] = max(
                 scratch.value[rows - 1, shift + c], np.float32(0)
             )
-    if np.sqrt(bins.radius_sq) * bins.scale < cols - MARGIN_BINS:
+    if np.sqrt(grid.radius_sq) * grid.bins_per_m < cols - MARGIN_BINS:
         for r in range(rows):
             scratch.value[r, shift + cols - 1] = max(
                 scratch.value[r, shift + cols - 1], np.float32(0)
@@ -127,13 +127,13 @@ def _upper_bound(classes, rows, scratch):
 
 
 @inner
-def search_group(near, origins, members, templates, scratch, tests, found, work):
+def search_group(near, origins, members, templates, least, scratch, tests, found, work):
     """Find the hits among the origins ``members`` (reordered); others stay as they are.
 
-    ``found`` (T, M) receives correlations of at least ``templates.least``; ``work`` (3,) counts
+    ``found`` (T, M) receives correlations of at least ``least``; ``work`` (3,) counts
     visits, tests and origins scanned.
     """
-    T = len(templates.least)
+    T = len(found)
     ranges = np.empty((STACK, 2), np.int64)
     limits = np.empty(STACK)
     alive = np.empty((STACK, T), np.bool_)
@@ -158,7 +158,7 @@ def search_group(near, origins, members, templates, scratch, tests, found, work)
             box[2 * axis], box[2 * axis + 1] = low, high
         split = end - begin >= MIN_GROUP
         if split:
-            ratio = _test(near, box, end - begin, limit, templates, wanted, tests, work)
+            ratio = _test(near, box, end - begin, limit, templates, least, wanted, tests, work)
             if not _any(wanted):
                 continue
             # What a smaller group would need to be provable has too few origins to pay.
@@ -172,7 +172,7 @@ def search_group(near, origins, members, templates, scratch, tests, found, work)
                 work[0] += correlate_origin(near, x, y, z, templates, wanted, scratch, result)
                 work[2] += 1
                 for t in range(T):
-                    if wanted[t] and result[t] >= templates.least[t]:
+                    if wanted[t] and result[t] >= least:
                         found[t, o] = result[t]
             continue
         middle = _split(origins, members, begin, end, box)
@@ -219,55 +219,50 @@ def _split(origins, members, begin, end, box):
 
 
 @inner
-def _test(near, box, count, limit, templates, wanted, tests, work):
+def _test(near, box, count, limit, templates, least, wanted, tests, work):
     """Clear ``wanted`` for the templates that no origin in ``box`` can hit.
 
     Returns the part of its size at which the group might be provable: 1 if it was not tested.
     """
     if _extent(box) > limit:
         return 1.0
+    grid = templates.grid
+    rows, cols = np.int64(grid.rows), np.int64(grid.cols)
     half = np.float32(0.5)
     mx, my, mz = (box[0] + box[1]) * half, (box[2] + box[3]) * half, (box[4] + box[5]) * half
     dx = np.float64(max(box[1] - mx, mx - box[0]))
     dy = np.float64(max(box[3] - my, my - box[2]))
     dz = np.float64(max(box[5] - mz, mz - box[4]))
     shift = np.sqrt(dx * dx + dy * dy)
-    ratio = 2.0
-    for g in range(len(templates.sizes)):
-        if not wants_grid(templates, wanted, g):
-            continue
-        bins = grid_bins(templates, g)
-        rows, cols = np.int64(bins.rows), np.int64(bins.cols)
-        d, e = widened(shift * bins.scale, cols), widened(dz * bins.scale, rows)
-        begin, end = depth_window(near, box[4], box[5], bins.height)
-        if not (d <= MAX_SHIFT_BINS and e <= MAX_LIFT_BINS):
-            return 1.0
-        if count * (end - begin) < 2 * (end - begin + TEST_COST):
-            return 0.0
-        classes = lay_out(rows, cols, d, e)
-        reach = (np.sqrt(np.float64(bins.radius_sq)) + shift) * (1 + 1e-5)
-        total = count_classes(
-            near, begin, end, mx, my, mz, np.float32(reach * reach), bins, classes, tests
-        )
-        work[0] += end - begin
-        work[1] += 1
-        if total > 0:
-            mean_image(classes, rows, cols, tests)
-        for t in range(templates.first[g], templates.first[g + 1]):
-            if wanted[t]:
-                if total == 0:
-                    wanted[t] = False
-                    continue
-                k = rows * cols
-                central, largest = _bin_values(
-                    bins, templates.weights[t, :k], templates.values[t, :k],
-                    np.float64(templates.least[t]) - LOWERED, classes.shift_col, tests,
-                )  # fmt: skip
-                upper = _upper_bound(classes, rows, tests)
-                if upper < -ROUNDING * largest * total:
-                    wanted[t] = False
-                elif central < 0:
-                    ratio = min(ratio, -central / (upper - central))
-                else:
-                    ratio = min(ratio, 0.5)
-    return min(ratio, 1.0)
+    d, e = widened(shift * grid.bins_per_m, cols), widened(dz * grid.bins_per_m, rows)
+    begin, end = depth_window(near, box[4], box[5], grid.height)
+    if not (d <= MAX_SHIFT_BINS and e <= MAX_LIFT_BINS):
+        return 1.0
+    if count * (end - begin) < 2 * (end - begin + TEST_COST):
+        return 0.0
+    classes = lay_out(rows, cols, d, e)
+    reach = (np.sqrt(np.float64(grid.radius_sq)) + shift) * (1 + 1e-5)
+    total = count_classes(
+        near, begin, end, mx, my, mz, np.float32(reach * reach), grid, classes, tests
+    )
+    work[0] += end - begin
+    work[1] += 1
+    if total == 0:
+        fill(wanted, False)
+        return 1.0
+    mean_image(classes, rows, cols, tests)
+    ratio = 1.0
+    for t in range(len(wanted)):
+        if wanted[t]:
+            central, largest = _bin_values(
+                grid, templates.weights[t], templates.values[t],
+                np.float64(least) - LOWERED, classes.shift_col, tests,
+            )  # fmt: skip
+            upper = _upper_bound(classes, rows, tests)
+            if upper < -ROUNDING * largest * total:
+                wanted[t] = False
+            elif central < 0:
+                ratio = min(ratio, -central / (upper - central))
+            else:
+                ratio = min(ratio, 0.5)
+    return ratio

@@ -7,7 +7,6 @@ model's topmost point about the vertical; scene points whose own image correlate
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -32,14 +31,15 @@ from spinpipe.schemas.records import (
     ScoreTile,
     SpinImage,
 )
+from spinpipe.stages.geometry.frames import vector
 from spinpipe.stages.geometry.model_surface import points_on, topmost_point
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.scan.coarse_to_fine import VOXEL_RADII
 from spinpipe.stages.scan.hit_threshold import hit_threshold
-from spinpipe.stages.scan.image import SpinGrid, SpinTemplate, spin_image, template_from_cloud
+from spinpipe.stages.scan.image import SpinGrid, spin_image
 from spinpipe.stages.scan.model_heights import HeightBands
+from spinpipe.stages.scan.templates import Templates, extent_weights, object_image
 from spinpipe.stages.scan.tile import Origins, TileScan
-from spinpipe.stages.scan.weights import extent_weights
 from spinpipe.stages.stage import Context, Section
 
 RADIUS_HALF_WIDTHS = 1.45
@@ -130,13 +130,13 @@ class Scan:
         sampling = ctx.read_one(SAMPLING)
         lift_m = grid.bin_m / 2 if ctx.config.lift_m is None else ctx.config.lift_m
         noise_m = sampling.noise_m if ctx.config.noise_m is None else ctx.config.noise_m
-        templates = [
-            _template(model, grid, lift_m, noise_m, ctx.config.outside_weight, ctx.rng)
-            for model in models
-        ]
+        images = [_expected_image(model, grid, lift_m, noise_m, ctx.rng) for model in models]
+        weights = None
+        if ctx.config.outside_weight < 1:
+            weights = [extent_weights(image, ctx.config.outside_weight) for image in images]
         cloud = WorldCloud.of(ctx.read(CLOUD), ctx.read_one(TILES), ctx.read_one(UPRIGHT))
         least = ctx.config.min_correlation or hit_threshold(
-            [_expected(*pair, sampling) for pair in zip(models, templates, strict=True)]
+            [_points_in(*pair, sampling) for pair in zip(models, images, strict=True)]
         )
         ctx.log(f"hits from a correlation of {least:.2f}")
         bands = None
@@ -145,7 +145,7 @@ class Scan:
         scan = TileScan(
             cloud=cloud,
             models=tuple(model.name for model in models),
-            templates=tuple(templates),
+            templates=Templates.of(grid, images, weights),
             bands=bands,
             lift_m=lift_m,
             origins=ctx.config.origins,
@@ -168,11 +168,12 @@ class Scan:
             hits.add(scores)
             progress.advance()
         found = hits.collect()
-        for model, template in zip(models, templates, strict=True):
-            ctx.write(SPIN_IMAGES, _model_image(model, template))
-        for best, template in zip(found, templates, strict=True):
+        for model, image in zip(models, images, strict=True):
+            top = topmost_point(model.points)
+            ctx.write(SPIN_IMAGES, _image(model.name, "model", grid, image, top, 1.0))
+        for best in found:
             if len(best.points):
-                ctx.write(SPIN_IMAGES, _scene_image(cloud, best, template, lift_m))
+                ctx.write(SPIN_IMAGES, _scene_image(cloud, best, grid, lift_m))
         for model_hits in found:
             ctx.write(HITS, model_hits)
             ctx.log(f"{len(model_hits.points)} hits of {model_hits.model}")
@@ -186,63 +187,48 @@ def spin_grid(models: Sequence[ObjectModel], config: Scan.Config) -> SpinGrid:
     sizes = [model.size for model in models]
     narrow_m = min(float(min(size[0], size[1])) / 2 for size in sizes)
     radius_m = config.radius_m or RADIUS_HALF_WIDTHS * narrow_m
-    return SpinGrid(
+    return SpinGrid.of(
         radius_m=radius_m,
         height_m=config.height_m or HEIGHT_SHARE * min(float(size[2]) for size in sizes),
         bin_m=config.bin_m or radius_m / BINS_ALONG,
     )
 
 
-def _template(
-    model: ObjectModel,
-    grid: SpinGrid,
-    lift_m: float,
-    noise_m: float,
-    outside_weight: float,
-    rng: np.random.Generator,
-) -> SpinTemplate:
+def _expected_image(
+    model: ObjectModel, grid: SpinGrid, lift_m: float, noise_m: float, rng: np.random.Generator
+) -> F64:
     """The image that an instance is expected to have: of the model with the scene's noise."""
     points = model.points.astype(np.float64)
     noisy = np.concatenate(
         [points + noise_m * rng.standard_normal(points.shape) for _ in range(BLURS)]
     )
-    template = template_from_cloud(noisy, grid, origin=topmost_point(points) + [0.0, 0.0, lift_m])
-    if outside_weight == 1.0:
-        return template
-    return replace(template, weights=extent_weights(template.values, outside_weight))
+    return object_image(noisy, grid, topmost_point(points) + [0.0, 0.0, lift_m])
 
 
-def _expected(model: ObjectModel, template: SpinTemplate, sampling: Sampling) -> F64:
+def _points_in(model: ObjectModel, image: F64, sampling: Sampling) -> F64:
     """Points in the bins of an instance's image in the scene."""
     share = points_on(model.points, sampling.density) / (BLURS * len(model.points))
-    return template.values * share
+    return image * share
 
 
-def _model_image(model: ObjectModel, template: SpinTemplate) -> SpinImage:
-    return _image(model.name, "model", template, template.values, topmost_point(model.points), 1.0)
-
-
-def _scene_image(cloud: WorldCloud, hits: Hits, template: SpinTemplate, lift_m: float) -> SpinImage:
+def _scene_image(cloud: WorldCloud, hits: Hits, grid: SpinGrid, lift_m: float) -> SpinImage:
     """The scene's image at the best hit."""
     best = int(np.argmax(hits.correlation))
     origin = hits.points[best] + np.array([0.0, 0.0, lift_m])
-    grid = template.grid
     reach = np.array([grid.radius_m, grid.radius_m, grid.height_m])
     points = cloud.inside(origin - reach, origin + [grid.radius_m, grid.radius_m, 0.0])
     image = spin_image(points, origin, grid)
-    return _image(hits.model, "scene", template, image, origin, float(hits.correlation[best]))
+    return _image(hits.model, "scene", grid, image, origin, float(hits.correlation[best]))
 
 
 def _image(
     model: str,
     role: str,
-    template: SpinTemplate,
+    grid: SpinGrid,
     values: np.ndarray,
     origin: F64,
     correlation: float,
 ) -> SpinImage:
-    grid = template.grid
-    x, y, z = origin.tolist()
     return SpinImage(
         model=model,
         role=role,
@@ -250,7 +236,7 @@ def _image(
         height_m=grid.height_m,
         bin_m=grid.bin_m,
         values=values.astype(np.float32),
-        origin=(x, y, z),
+        origin=vector(origin),
         correlation=correlation,
     )
 

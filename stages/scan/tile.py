@@ -13,9 +13,9 @@ from spinpipe.schemas.records import F32, ScoreTile
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.scan.coarse_to_fine import correlate_coarse_to_fine, halo_m
 from spinpipe.stages.scan.correlate import BELOW, correlate
-from spinpipe.stages.scan.image import SpinTemplate
 from spinpipe.stages.scan.index import build_index
 from spinpipe.stages.scan.model_heights import HeightBands
+from spinpipe.stages.scan.templates import Templates
 from spinpipe.stages.scan.voxels import Voxels
 
 Origins = Literal["all", "voxel", "subset"]
@@ -28,7 +28,7 @@ class TileScan:
 
     cloud: WorldCloud
     models: tuple[str, ...]
-    templates: tuple[SpinTemplate, ...]
+    templates: Templates
     """One a model."""
     bands: HeightBands | None
     """None: origins at any height."""
@@ -77,27 +77,21 @@ class TileScan:
 
     def _surroundings(self, tile: int) -> tuple[F32, Mask, Mask]:
         """Points that the tile's origins may see; which are its own; which may be origins."""
-        radius_m, height_m = self.reach
+        grid = self.templates.grid
         margin_m = 0.0 if self.origins == "all" else halo_m(self.voxel_m)
         above_m = self.lift_m + margin_m
         if self.bands:
-            reach_m = max(radius_m, self.bands.halo_m) + margin_m
+            reach_m = max(grid.radius_m, self.bands.halo_m) + margin_m
             around, own = self.cloud.around(tile, reach_m, np.inf, above_m)
             eligible = self.bands.select(around)
         else:
-            below_m = height_m + margin_m
-            around, own = self.cloud.around(tile, radius_m + margin_m, below_m, above_m)
+            below_m = grid.height_m + margin_m
+            around, own = self.cloud.around(tile, grid.radius_m + margin_m, below_m, above_m)
             eligible = np.ones(len(around), bool)
         if self.origins == "all":
             return around, own, eligible & own
         low, high = self.cloud.low[tile] - margin_m, self.cloud.high[tile] + margin_m
         return around, own, eligible & np.all((around >= low) & (around <= high), axis=1)
-
-    @property
-    def reach(self) -> tuple[float, float]:
-        """Largest radius and height of all spin images, metres."""
-        grids = [template.grid for template in self.templates]
-        return max(g.radius_m for g in grids), max(g.height_m for g in grids)
 
     def _scores(self, origins: F32, correlation: NDArray[np.float32]) -> ScoreTile:
         best = correlation.max(axis=1, initial=BELOW)

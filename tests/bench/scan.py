@@ -119,18 +119,18 @@ def scan(
     start_cpu, start = time.process_time(), time.perf_counter()
     if method == "numpy twin":
         images = [spin_image(around, origin, GRID) for origin in origins]
-        found = np.array([[correlation(image, template.values) for image in images]])
+        found = np.array([[correlation(image, template.images[0]) for image in images]])
         work.origins, work.visits = len(origins), len(origins) * len(around)
     elif method == "voxel":
         own = np.ones(len(origins), bool)
         found = correlate_coarse_to_fine(
-            index, origins, own, [template], threads,
+            index, origins, own, template, threads,
             min_correlation=MIN_CORRELATION, voxel_m=VOXEL_RADII * GRID.radius_m, work=work,
         )  # fmt: skip
         work.origins = len(origins)
     else:
         least = MIN_CORRELATION if method == "pruned" else None
-        found = correlate(index, origins, [template], threads, min_correlation=least, work=work)
+        found = correlate(index, origins, template, threads, min_correlation=least, work=work)
     return {
         "cpu": time.process_time() - start_cpu,
         "wall": time.perf_counter() - start,

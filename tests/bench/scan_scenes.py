@@ -17,9 +17,10 @@ from spinpipe.pipeline.scenes.artificial import SEED, make_scene
 from spinpipe.pipeline.scenes.artificial_cars import SALOON, car_mesh
 from spinpipe.pipeline.scenes.artificial_clutter import bush, tree
 from spinpipe.stages.geometry.shapes import Mesh, box, placed, sample_surface, surface_area
-from spinpipe.stages.scan.image import SpinGrid, SpinTemplate, template_from_cloud
+from spinpipe.stages.scan.image import SpinGrid
+from spinpipe.stages.scan.templates import Templates, object_image
 
-GRID = SpinGrid(2.5, 1.0, 0.1)
+GRID = SpinGrid.of(2.5, 1.0, 0.1)
 DENSITY = 1000
 BLOCK_POINTS = 2_000_000
 LENGTH_M, WIDTH_M, FACADE_M = 36.0, 14.0, 9.0  # of the street
@@ -67,10 +68,10 @@ def scene_blocks(scene: str, points: int) -> Iterator[tuple[Cloud, Cloud]]:
     yield cloud, cloud
 
 
-def model_template() -> SpinTemplate:
+def model_template() -> Templates:
     """Template of the artificial scene's first car."""
     scene = make_scene(20_000, 0.0, np.random.default_rng(SEED))
-    return template_from_cloud(scene.models["model_1"].cloud, GRID)
+    return Templates.of(GRID, [object_image(scene.models["model_1"].cloud, GRID)])
 
 
 def street(

@@ -146,7 +146,7 @@ def test_coarse_bins_confuse_the_models_and_fine_ones_do_not(
     scene: ArtificialScene, bin_m: float, wrong_is_hit: bool
 ):
     """[Bovenkamp 2010, section 3.1]: rho 0.1 finds the right four, rho 0.2 all eight."""
-    grid = SpinGrid(radius_m=2.5, height_m=1.0, bin_m=bin_m)
+    grid = SpinGrid.of(radius_m=2.5, height_m=1.0, bin_m=bin_m)
     templates = {
         name: spin_image(model.cloud - topmost_point(model.cloud), np.zeros(3), grid)
         for name, model in scene.models.items()

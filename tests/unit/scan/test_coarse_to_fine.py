@@ -7,9 +7,10 @@ import pytest
 
 from spinpipe.stages.scan.coarse_to_fine import correlate_coarse_to_fine
 from spinpipe.stages.scan.correlate import BELOW, ScanWork, build_index, correlate
-from spinpipe.stages.scan.image import SpinGrid, template_from_cloud
+from spinpipe.stages.scan.image import SpinGrid
+from spinpipe.stages.scan.templates import Templates, object_image
 
-GRID = SpinGrid(2.0, 0.8, 0.1)
+GRID = SpinGrid.of(2.0, 0.8, 0.1)
 
 
 def dome(rng, n=6000):
@@ -25,13 +26,13 @@ def dome(rng, n=6000):
 def test_what_is_scored_is_scored_as_by_the_full_scan():
     model, cloud = dome(np.random.default_rng(0))
     cloud = cloud.astype(np.float32)
-    index, template = build_index(cloud), template_from_cloud(model, GRID)
+    index, template = build_index(cloud), Templates.of(GRID, [object_image(model, GRID)])
     every, fine = ScanWork(), ScanWork()
-    full = correlate(index, cloud, [template], work=every)[0]
+    full = correlate(index, cloud, template, work=every)[0]
     hits = full >= np.float32(0.6)
     steps = []
     found = correlate_coarse_to_fine(
-        index, cloud, np.ones(len(cloud), bool), [template], 2,
+        index, cloud, np.ones(len(cloud), bool), template, 2,
         min_correlation=0.6, voxel_m=0.25, advance=steps.append, work=fine,
     )[0]  # fmt: skip
     scored = found > BELOW
@@ -45,10 +46,10 @@ def test_what_is_scored_is_scored_as_by_the_full_scan():
 def test_only_what_is_asked_for_comes_back():
     model, cloud = dome(np.random.default_rng(2), 3000)
     cloud = cloud.astype(np.float32)
-    index, template = build_index(cloud), template_from_cloud(model, GRID)
+    index, template = build_index(cloud), Templates.of(GRID, [object_image(model, GRID)])
     asked = cloud[:, 0] < 6
     whole, part = (
-        correlate_coarse_to_fine(index, cloud, own, [template], min_correlation=0.5, voxel_m=0.25)
+        correlate_coarse_to_fine(index, cloud, own, template, min_correlation=0.5, voxel_m=0.25)
         for own in (np.ones(len(cloud), bool), asked)
     )
     np.testing.assert_array_equal(part, whole[:, asked])
@@ -57,10 +58,10 @@ def test_only_what_is_asked_for_comes_back():
 def test_a_wide_margin_in_one_voxel_is_the_full_scan():
     model, cloud = dome(np.random.default_rng(1), 1500)
     cloud = cloud.astype(np.float32)
-    index, template = build_index(cloud), template_from_cloud(model, GRID)
-    full = correlate(index, cloud, [template])
+    index, template = build_index(cloud), Templates.of(GRID, [object_image(model, GRID)])
+    full = correlate(index, cloud, template)
     found = correlate_coarse_to_fine(
-        index, cloud, np.ones(len(cloud), bool), [template],
+        index, cloud, np.ones(len(cloud), bool), template,
         min_correlation=0.1, voxel_m=100.0, margin=1.1,
     )  # fmt: skip
     np.testing.assert_array_equal(found, full)
@@ -68,10 +69,13 @@ def test_a_wide_margin_in_one_voxel_is_the_full_scan():
 
 @pytest.mark.parametrize("count", [0, 4])
 def test_nothing_to_find(count):
-    index, template = build_index(np.zeros((5, 3))), template_from_cloud(np.eye(3), GRID)
+    index, template = (
+        build_index(np.zeros((5, 3))),
+        Templates.of(GRID, [object_image(np.eye(3), GRID)]),
+    )
     origins = np.ones((count, 3), np.float32)
     found = correlate_coarse_to_fine(
-        index, origins, np.ones(count, bool), [template],
+        index, origins, np.ones(count, bool), template,
         min_correlation=0.5, voxel_m=1.0, pruned=True,
     )  # fmt: skip
     assert found.shape == (1, count)

@@ -13,13 +13,14 @@ from spinpipe.stages.scan.correlate import (
     correlate,
     histograms,
 )
-from spinpipe.stages.scan.image import SpinGrid, SpinTemplate, correlation, spin_image
+from spinpipe.stages.scan.image import SpinGrid, correlation, spin_image
+from spinpipe.stages.scan.templates import Templates
 
 GRIDS = [
-    SpinGrid(2.5, 1.0, 0.1),
-    SpinGrid(2.5, 1.0, 0.2),
-    SpinGrid(1.0, 0.5, 0.25),
-    SpinGrid(0.33, 0.71, 0.07),
+    SpinGrid.of(2.5, 1.0, 0.1),
+    SpinGrid.of(2.5, 1.0, 0.2),
+    SpinGrid.of(1.0, 0.5, 0.25),
+    SpinGrid.of(0.33, 0.71, 0.07),
 ]
 
 
@@ -92,12 +93,9 @@ def some_origins(cloud, rng, count=25):
     return np.vstack([own, own[:5] + rng.normal(0, 0.3, (5, 3)), [[0, 0, 0], [0, 0, -1e4]]])
 
 
-def templates_of(grids, rng):
-    return [
-        SpinTemplate(grid, rng.random(grid.shape), weights)
-        for grid in grids
-        for weights in (None, rng.random(grid.shape) * (rng.random(grid.shape) < 0.7))
-    ]
+def templates_of(grid, rng):
+    masked = rng.random(grid.shape) * (rng.random(grid.shape) < 0.7)
+    return Templates.of(grid, rng.random((4, *grid.shape)), [None, None, masked, masked])
 
 
 @pytest.mark.parametrize("make", CLOUDS)
@@ -133,28 +131,29 @@ def test_histograms_equal_the_twin_on_anything(cloud, extra, grid, cell_m):
 
 
 @pytest.mark.parametrize("make", CLOUDS)
-def test_correlations_equal_the_twin_for_any_threads_and_order(make):
+@pytest.mark.parametrize("grid", GRIDS)
+def test_correlations_equal_the_twin_for_any_threads_and_order(make, grid):
     rng = np.random.default_rng(6)
     cloud = make(rng)
-    origins, templates = some_origins(cloud, rng, 60), templates_of(GRIDS, rng)
+    origins, templates = some_origins(cloud, rng, 60), templates_of(grid, rng)
     index = build_index(cloud)
     found = correlate(index, origins, templates, threads=1)
-    assert found.shape == (len(templates), len(origins))
+    assert found.shape == (templates.size, len(origins))
     assert found.dtype == np.float32
-    for row, template in zip(found, templates, strict=True):
-        images = [spin_image(cloud, origin, template.grid) for origin in origins]
-        expected = [correlation(image, template.values, template.weights) for image in images]
+    images = [spin_image(cloud, origin, grid) for origin in origins]
+    for row, values, weights in zip(found, templates.images, templates.weights, strict=True):
+        expected = [correlation(image, values, weights) for image in images]
         np.testing.assert_allclose(row, expected, rtol=0, atol=2e-7)
     np.testing.assert_array_equal(correlate(index, origins, templates, threads=2), found)
     order, shuffle = rng.permutation(len(origins)), rng.permutation(len(cloud))
-    again = correlate(build_index(cloud[shuffle], 0.3), origins[order], templates[::-1])
-    np.testing.assert_array_equal(again[::-1], found[:, order])
+    again = correlate(build_index(cloud[shuffle], 0.3), origins[order], templates)
+    np.testing.assert_array_equal(again, found[:, order])
 
 
 def test_threads_share_many_chunks_and_tell_their_progress():
     rng = np.random.default_rng(7)
     cloud = rng.random((30_000, 3)) * [40, 40, 1]
-    templates, index = templates_of(GRIDS[:1], rng), build_index(cloud)
+    templates, index = templates_of(GRIDS[0], rng), build_index(cloud)
     steps, one, two = [], ScanWork(), ScanWork()
     alone = correlate(index, cloud, templates, 1, work=one)
     shared = correlate(index, cloud, templates, 2, advance=steps.append, work=two)
@@ -169,19 +168,21 @@ def test_threads_share_many_chunks_and_tell_their_progress():
 def test_empty_single_and_no_templates():
     rng = np.random.default_rng(8)
     empty, single = build_index(np.zeros((0, 3))), build_index(np.array([[1.0, 2.0, 3.0]]))
-    templates = templates_of(GRIDS[:1], rng)
+    templates = templates_of(GRIDS[0], rng)
     assert histograms(empty, np.zeros((3, 3)), GRIDS[0]).sum() == 0
     assert not correlate(empty, np.zeros((3, 3)), templates).any()
-    assert correlate(single, np.zeros((0, 3)), templates).shape == (2, 0)
+    assert correlate(single, np.zeros((0, 3)), templates).shape == (4, 0)
     assert histograms(single, np.zeros((0, 3)), GRIDS[0]).shape == (0, 10, 25)
-    assert correlate(single, np.zeros((4, 3)), []).shape == (0, 4)
+    assert correlate(single, np.zeros((4, 3)), Templates.of(GRIDS[0], [])).shape == (0, 4)
     assert histograms(single, np.array([[1.0, 2.0, 3.5]]), GRIDS[0])[0, 5, 0] == 1
-    constant = SpinTemplate(GRIDS[0], np.ones(GRIDS[0].shape))
-    assert correlate(single, np.array([[1.0, 2.0, 3.5]]), [constant])[0, 0] == 0
+    constant = Templates.of(GRIDS[0], [np.ones(GRIDS[0].shape)])
+    assert correlate(single, np.array([[1.0, 2.0, 3.5]]), constant)[0, 0] == 0
 
 
 def test_numbers_that_are_not_finite_are_refused():
     with pytest.raises(ValueError, match="NaN"):
         build_index(np.array([[0.0, np.nan, 0.0]]))
     with pytest.raises(ValueError, match="NaN"):
-        correlate(build_index(np.zeros((1, 3))), np.array([[np.inf, 0, 0]]), [])
+        correlate(
+            build_index(np.zeros((1, 3))), np.array([[np.inf, 0, 0]]), Templates.of(GRIDS[0], [])
+        )

@@ -10,16 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from spinpipe.stages.geometry.model_surface import topmost_point
-from spinpipe.stages.scan.image import (
-    SpinGrid,
-    SpinTemplate,
-    correlation,
-    spin_image,
-    template_from_cloud,
-)
+from spinpipe.stages.scan.image import SpinGrid, correlation, spin_image
+from spinpipe.stages.scan.templates import Templates, object_image
 
-CAR = SpinGrid(2.5, 1.0, 0.1)
-BINARY = SpinGrid(1.0, 0.5, 0.25)
+CAR = SpinGrid.of(2.5, 1.0, 0.1)
+BINARY = SpinGrid.of(1.0, 0.5, 0.25)
 """A grid whose borders are exact in binary."""
 
 
@@ -36,7 +31,7 @@ BINARY = SpinGrid(1.0, 0.5, 0.25)
     ],
 )
 def test_rows_and_columns_round_up_but_not_over_whole_quotients(radius_m, height_m, bin_m, shape):
-    grid = SpinGrid(radius_m, height_m, bin_m)
+    grid = SpinGrid.of(radius_m, height_m, bin_m)
     assert grid.shape == shape
     assert grid.k == shape[0] * shape[1]
 
@@ -45,9 +40,9 @@ def test_rows_and_columns_round_up_but_not_over_whole_quotients(radius_m, height
 def test_grid_refuses_impossible_sizes(bad):
     for sizes in [(bad, 1.0, 0.1), (2.5, bad, 0.1), (2.5, 1.0, bad)]:
         with pytest.raises(ValueError, match="positive number"):
-            SpinGrid(*sizes)
+            SpinGrid.of(*sizes)
     with pytest.raises(ValueError, match="larger bins"):
-        SpinGrid(100.0, 100.0, 0.1)
+        SpinGrid.of(100.0, 100.0, 0.1)
 
 
 sizes = st.floats(0.0625, 50, width=32)
@@ -56,7 +51,7 @@ sizes = st.floats(0.0625, 50, width=32)
 @given(sizes, sizes, st.floats(0.005, 5))
 def test_every_point_inside_has_a_bin(radius_m, height_m, bin_m):
     try:
-        grid = SpinGrid(radius_m, height_m, bin_m)
+        grid = SpinGrid.of(radius_m, height_m, bin_m)
     except ValueError:
         return
     zero = np.float32(0)
@@ -111,9 +106,8 @@ def test_constant_images_correlate_with_nothing(level):
         assert correlation(other, flat, w) == 0.0
         assert correlation(flat, flat, w) == 0.0
     assert correlation(other, other, np.zeros((3, 4))) == 0.0
-    grid = SpinGrid(0.4, 0.3, 0.1)
-    assert not SpinTemplate(grid, flat).unit_values().any()
-    assert not SpinTemplate(grid, flat, weights).unit_values().any()
+    grid = SpinGrid.of(0.4, 0.3, 0.1)
+    assert not Templates.of(grid, [flat, flat], [None, weights]).values.any()
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -129,32 +123,34 @@ def test_correlation_ignores_gain_and_offset(seed):
 
 def test_unit_values_have_mean_zero_and_variance_one():
     rng = np.random.default_rng(2)
-    grid = SpinGrid(0.4, 0.3, 0.1)
-    template = SpinTemplate(grid, rng.random((3, 4)), rng.random((3, 4)))
-    w, t = template.unit_weights(), template.unit_values()
-    assert w.sum() == pytest.approx(1)
-    assert w @ t == pytest.approx(0, abs=1e-12)
-    assert w @ (t * t) == pytest.approx(1)
+    grid = SpinGrid.of(0.4, 0.3, 0.1)
+    templates = Templates.of(grid, rng.random((2, 3, 4)), [None, rng.random((3, 4))])
+    for w, weighted in zip(templates.weights, templates.values, strict=True):
+        assert w.sum() == pytest.approx(1)
+        assert weighted.sum() == pytest.approx(0, abs=1e-12)
+        assert (weighted**2 / w).sum() == pytest.approx(1)
+    assert templates.even.tolist() == [True, False]
+    assert templates.alike.tolist() == [False, False]
 
 
 def test_template_refuses_bad_arrays():
-    grid = SpinGrid(0.4, 0.3, 0.1)
+    grid = SpinGrid.of(0.4, 0.3, 0.1)
     good = np.ones((3, 4))
     with pytest.raises(ValueError, match="shape"):
-        SpinTemplate(grid, np.ones((4, 3)))
+        Templates.of(grid, [np.ones((4, 3))])
     with pytest.raises(ValueError, match="NaN"):
-        SpinTemplate(grid, np.full((3, 4), np.nan))
+        Templates.of(grid, [np.full((3, 4), np.nan)])
     with pytest.raises(ValueError, match="weights"):
-        SpinTemplate(grid, good, np.zeros((3, 4)))
+        Templates.of(grid, [good], [np.zeros((3, 4))])
     with pytest.raises(ValueError, match="weights"):
-        SpinTemplate(grid, good, -good)
+        Templates.of(grid, [good], [-good])
 
 
 def test_template_keeps_its_own_copy():
-    grid, values = SpinGrid(0.4, 0.3, 0.1), np.ones((3, 4))
-    template = SpinTemplate(grid, values)
+    grid, values = SpinGrid.of(0.4, 0.3, 0.1), np.ones((3, 4))
+    template = Templates.of(grid, [values])
     values[:] = 0
-    assert template.values.all()
+    assert template.images.all()
 
 
 def test_template_of_a_cloud_starts_at_its_topmost_point():
@@ -162,11 +158,11 @@ def test_template_of_a_cloud_starts_at_its_topmost_point():
     cloud = rng.random((500, 3))
     top = cloud[np.argmax(cloud[:, 2])]
     np.testing.assert_array_equal(topmost_point(cloud, tolerance_m=0.0), top)
-    template = template_from_cloud(cloud, CAR)
+    image = object_image(cloud, CAR)
     expected = spin_image(cloud - topmost_point(cloud), np.zeros(3), CAR)
-    np.testing.assert_array_equal(template.values, expected)
-    moved = template_from_cloud(cloud + np.array([1e7, -1e7, 1e4]), CAR)
-    assert np.abs(moved.values - template.values).sum() <= 4  # rounding of the moved cloud only
+    np.testing.assert_array_equal(image, expected)
+    moved = object_image(cloud + np.array([1e7, -1e7, 1e4]), CAR)
+    assert np.abs(moved - image).sum() <= 4  # rounding of the moved cloud only
 
 
 def test_flat_top_is_taken_in_its_middle():

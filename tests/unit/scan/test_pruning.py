@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from spinpipe.stages.scan.correlate import BELOW, ScanWork, build_index, correlate
-from spinpipe.stages.scan.image import SpinGrid, SpinTemplate, spin_image
+from spinpipe.stages.scan.image import SpinGrid, spin_image
+from spinpipe.stages.scan.templates import Templates
 
 GRIDS = [
-    SpinGrid(2.5, 1.0, 0.1),
-    SpinGrid(2.5, 1.0, 0.2),
-    SpinGrid(1.3, 0.95, 0.1),  # height and radius that are no multiple of the bin
-    SpinGrid(1.04, 0.5, 0.25),
+    SpinGrid.of(2.5, 1.0, 0.1),
+    SpinGrid.of(2.5, 1.0, 0.2),
+    SpinGrid.of(1.3, 0.95, 0.1),  # height and radius that are no multiple of the bin
+    SpinGrid.of(1.04, 0.5, 0.25),
 ]
 
 
@@ -48,16 +49,16 @@ def far_boxes(rng, n=12_000):
 CLOUDS = [rough_ground, boxes_on_ground, wall, foliage, layers, far_boxes]
 
 
-def likely_templates(cloud, rng):
-    """Templates that some origins resemble: their own images, disturbed."""
-    found = []
-    for grid in GRIDS:
-        for origin in cloud[rng.integers(0, len(cloud), 2)]:
-            image = spin_image(cloud, origin, grid) * rng.uniform(0.7, 1.3, grid.shape)
-            weights = rng.random(grid.shape) * (rng.random(grid.shape) < 0.6)
-            found.append(SpinTemplate(grid, image))
-            found.append(SpinTemplate(grid, image + 1, weights))
-    return found
+def likely_templates(cloud, grid, rng):
+    """Templates that some origins resemble: their own images, disturbed; every other masked."""
+    images, weights = [], []
+    for origin in cloud[rng.integers(0, len(cloud), 2)]:
+        image = spin_image(cloud, origin, grid) * rng.uniform(0.7, 1.3, grid.shape)
+        images += [image, image + 1]
+        weights += [None, rng.random(grid.shape) * (rng.random(grid.shape) < 0.6)]
+    return Templates.of(grid, images, weights), [
+        Templates.of(grid, [image], [weight]) for image, weight in zip(images, weights, strict=True)
+    ]
 
 
 @pytest.mark.parametrize("make", CLOUDS)
@@ -65,16 +66,18 @@ def likely_templates(cloud, rng):
 def test_hits_equal_the_exhaustive_scan(make, seed):
     rng = np.random.default_rng(seed)
     cloud = make(rng)
-    index, templates = build_index(cloud), likely_templates(cloud, rng)
-    every = correlate(index, cloud, templates, 2)
-    for least in (0.2, 0.6, 0.9):
-        hits = correlate(index, cloud, templates, 2, min_correlation=least)
-        expected = np.where(every >= np.float32(least), every, BELOW)
-        np.testing.assert_array_equal(hits, expected)
-    # One template at a time prunes more than all together.
-    for row, template in enumerate(templates):
-        hits = correlate(index, cloud, [template], min_correlation=0.6)[0]
-        np.testing.assert_array_equal(hits, np.where(every[row] >= 0.6, every[row], BELOW))
+    index = build_index(cloud)
+    for grid in GRIDS:
+        templates, single = likely_templates(cloud, grid, rng)
+        every = correlate(index, cloud, templates, 2)
+        for least in (0.2, 0.6, 0.9):
+            hits = correlate(index, cloud, templates, 2, min_correlation=least)
+            expected = np.where(every >= np.float32(least), every, BELOW)
+            np.testing.assert_array_equal(hits, expected)
+        # One template at a time prunes more than all together.
+        for row, template in enumerate(single):
+            hits = correlate(index, cloud, template, min_correlation=0.6)[0]
+            np.testing.assert_array_equal(hits, np.where(every[row] >= 0.6, every[row], BELOW))
 
 
 @pytest.mark.parametrize("make", CLOUDS)
@@ -82,12 +85,12 @@ def test_hits_near_the_least_correlation_are_kept(make):
     """The least correlation is one that origins have, or just beside it."""
     rng = np.random.default_rng(3)
     cloud = make(rng)
-    index, template = build_index(cloud), likely_templates(cloud, rng)[0]
-    every = correlate(index, cloud, [template])[0]
+    index, template = build_index(cloud), likely_templates(cloud, GRIDS[0], rng)[1][0]
+    every = correlate(index, cloud, template)[0]
     ranked = np.sort(every[every > 0.05])
     for level in ranked[:: max(1, len(ranked) // 7)]:
         for least in (level, np.nextafter(level, np.float32(2)), np.nextafter(level, BELOW)):
-            hits = correlate(index, cloud, [template], min_correlation=float(least))[0]
+            hits = correlate(index, cloud, template, min_correlation=float(least))[0]
             np.testing.assert_array_equal(hits, np.where(every >= least, every, BELOW))
 
 
@@ -98,10 +101,9 @@ def test_dense_ground_is_pruned():
     roof = np.zeros(grid.shape)
     roof[0, :8], roof[5, 4:20] = np.arange(8), 3.0
     every, pruned = ScanWork(), ScanWork()
-    correlate(build_index(cloud), cloud, [SpinTemplate(grid, roof)], work=every)
-    hits = correlate(
-        build_index(cloud), cloud, [SpinTemplate(grid, roof)], min_correlation=0.6, work=pruned
-    )
+    index, template = build_index(cloud), Templates.of(grid, [roof])
+    correlate(index, cloud, template, work=every)
+    hits = correlate(index, cloud, template, min_correlation=0.6, work=pruned)
     assert (hits == BELOW).all()
     assert pruned.visits * 4 < every.visits  # the patch is mostly border
     assert pruned.scanned * 4 < every.scanned == len(cloud)
@@ -112,13 +114,13 @@ def test_dense_ground_is_pruned():
 def test_least_correlation_must_be_positive(least):
     index = build_index(np.zeros((1, 3)))
     with pytest.raises(ValueError, match="positive"):
-        correlate(index, np.zeros((1, 3)), [], min_correlation=least)
+        correlate(index, np.zeros((1, 3)), Templates.of(GRIDS[0], []), min_correlation=least)
 
 
 def test_empty_inputs():
     rng = np.random.default_rng(5)
-    template = SpinTemplate(GRIDS[0], rng.random(GRIDS[0].shape))
+    template = Templates.of(GRIDS[0], [rng.random(GRIDS[0].shape)])
     empty = build_index(np.zeros((0, 3)))
-    assert (correlate(empty, np.zeros((50, 3)), [template], min_correlation=0.5) == BELOW).all()
+    assert (correlate(empty, np.zeros((50, 3)), template, min_correlation=0.5) == BELOW).all()
     one = build_index(np.zeros((1, 3)))
-    assert correlate(one, np.zeros((0, 3)), [template], min_correlation=0.5).shape == (1, 0)
+    assert correlate(one, np.zeros((0, 3)), template, min_correlation=0.5).shape == (1, 0)

@@ -8,11 +8,12 @@ import pytest
 from spinpipe.pipeline.scenes.artificial import make_scene
 from spinpipe.schemas.records import CloudTile, ObjectModel, Sampling, TileIndex, Upright
 from spinpipe.stages.geometry.world_cloud import WorldCloud
-from spinpipe.stages.scan.image import SpinGrid, template_from_cloud
+from spinpipe.stages.scan.image import SpinGrid
 from spinpipe.stages.scan.model_heights import HeightBands
+from spinpipe.stages.scan.templates import Templates, object_image
 from spinpipe.stages.scan.tile import Origins, TileScan
 
-GRID = SpinGrid(2.5, 1.0, 0.2)
+GRID = SpinGrid.of(2.5, 1.0, 0.2)
 LEVEL = Upright((0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
 SCENE = make_scene(15_000)
 XYZ = SCENE.xyz.astype(np.float32)
@@ -47,7 +48,7 @@ def scan(
     task = TileScan(
         cloud=cloud(tiles),
         models=("car",),
-        templates=(template_from_cloud(CAR, GRID),),
+        templates=Templates.of(GRID, [object_image(CAR, GRID)]),
         bands=bands,
         lift_m=0.1,
         origins=origins,

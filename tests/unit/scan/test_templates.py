@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from spinpipe.stages.geometry.shapes import box, placed, sample_surface
 from spinpipe.stages.scan.correlate import build_index, correlate
-from spinpipe.stages.scan.image import SpinGrid, template_from_cloud
-from spinpipe.stages.scan.weights import extent_weights
+from spinpipe.stages.scan.image import SpinGrid
+from spinpipe.stages.scan.templates import Templates, extent_weights, object_image
 
-GRID = SpinGrid(2.0, 0.8, 0.1)
+GRID = SpinGrid.of(2.0, 0.8, 0.1)
 
 
 def crate(x: float, length: float, count: int, seed: int) -> np.ndarray:
@@ -20,10 +18,10 @@ def crate(x: float, length: float, count: int, seed: int) -> np.ndarray:
 
 
 def best(cloud: np.ndarray, outside: float) -> float:
-    template = template_from_cloud(crate(0, 1.0, 20_000, 0), GRID)
-    masked = replace(template, weights=extent_weights(template.values, outside))
+    image = object_image(crate(0, 1.0, 20_000, 0), GRID)
+    masked = Templates.of(GRID, [image], [extent_weights(image, outside)])
     top = cloud[(cloud[:, 2] > 0.899) & (np.hypot(cloud[:, 0], cloud[:, 1]) < 0.1)]
-    return float(correlate(build_index(cloud), top, [masked]).max())
+    return float(correlate(build_index(cloud), top, masked).max())
 
 
 def test_the_extent_is_that_of_each_depth() -> None:
