@@ -141,11 +141,15 @@ def stages() -> None:
 def record(
     folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder.")],
     rerun: RerunOption = RerunMode.save,
+    truth: Annotated[
+        Path | None,
+        typer.Option(metavar="CSV", help="Labels, see eval: found, missed and false coloured."),
+    ] = None,
 ) -> None:
-    """Draw a run's MCAP files into a Rerun recording; compute nothing."""
+    """Draw a run's MCAP files into a Rerun recording, without running anything again."""
     from spinpipe.pipeline.commands import record_command
 
-    record_command(folder, rerun.value)
+    record_command(folder, rerun.value, truth)
 
 
 @app.command()

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rich.console import Console
 
 from spinpipe.pipeline.atomic import write_atomically
@@ -22,6 +23,9 @@ from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.pipeline.runner import Runner, StageReport, locked, report_document
 from spinpipe.pipeline.tables import detection_table, plan_table, stage_tables
 from spinpipe.stages.stage import StageError
+
+if TYPE_CHECKING:
+    from spinpipe.pipeline.drawing.threshold import Truth
 
 
 def run_command(
@@ -140,7 +144,7 @@ def stages_command() -> None:
         console.print(table)
 
 
-def record_command(path: Path, rerun: RecordMode) -> None:
+def record_command(path: Path, rerun: RecordMode, labels: Path | None = None) -> None:
     """``spinpipe record``."""
     folder = RunFolder(path)
     if not folder.config.exists():
@@ -152,9 +156,30 @@ def record_command(path: Path, rerun: RecordMode) -> None:
         raise StageError(f"{path}: no stage is complete yet; run the config first")
     with (
         locked(folder),
-        recorder(config.run.name, rerun, folder.recording, config.record.preview_points) as draw,
+        recorder(
+            config.run.name,
+            rerun,
+            folder.recording,
+            config.record.preview_points,
+            truth=_truth(folder, labels),
+        ) as draw,
     ):
         for stage in stages:
             draw(stage, read)
     if rerun == "save":
         Console().print(f"wrote {folder.recording}", highlight=False, soft_wrap=True)
+
+
+def _truth(folder: RunFolder, labels: Path | None) -> Truth | None:
+    """What labels say about a run's detections."""
+    if labels is None:
+        return None
+    from spinpipe.pipeline.drawing.threshold import Truth
+    from spinpipe.pipeline.evaluation.evaluate import evaluate_run
+
+    evaluation = evaluate_run(folder, labels)
+    score, detections = evaluation.accepted, evaluation.detections
+    found = {detections[match.detection].id: True for match in score.matches}
+    found |= {detections[i].id: False for i in score.false}
+    missed = [evaluation.truths[i].position for i in score.missed]
+    return Truth(found, np.array(missed, np.float64).reshape(-1, 3))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from spinpipe.pipeline.atomic import commit, partial_file
 from spinpipe.pipeline.context import RunReader
@@ -15,12 +16,21 @@ from spinpipe.pipeline.drawing.recording import (
     record_stage,
 )
 
+if TYPE_CHECKING:
+    from spinpipe.pipeline.drawing.threshold import Truth
+
 Draw = Callable[[str, RunReader], None]
 
 
 @contextmanager
 def recorder(
-    run: str, mode: RecordMode, path: Path, preview_points: int, *, keep: bool = False
+    run: str,
+    mode: RecordMode,
+    path: Path,
+    preview_points: int,
+    *,
+    keep: bool = False,
+    truth: Truth | None = None,
 ) -> Generator[Draw]:
     """Give a function that draws one complete stage.
 
@@ -32,6 +42,7 @@ def recorder(
         up to it can be looked at.
     preview_points : most points of a cloud that are shown.
     keep : leave a file that is there as it is: nothing has changed since it was drawn.
+    truth : what labels say about the detections, to colour them by.
     """
     if mode == "save" and keep and path.exists():
         mode = "off"
@@ -44,7 +55,7 @@ def recorder(
         drawn: list[str] = []
 
         def draw(stage: str, read: RunReader) -> None:
-            record_stage(stage, read, recording, preview_points)
+            record_stage(stage, read, recording, preview_points, truth)
             drawn.append(stage)
 
         try:

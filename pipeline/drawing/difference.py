@@ -12,8 +12,8 @@ import rerun.blueprint as rrb
 
 from spinpipe.pipeline.config import RunConfig
 from spinpipe.pipeline.drawing import palette
-from spinpipe.pipeline.drawing.blueprint import scene_eye
 from spinpipe.pipeline.drawing.drawing import WORLD, Reader, put
+from spinpipe.pipeline.drawing.eye import scene_corners, scene_eye
 from spinpipe.pipeline.drawing.preview import preview
 from spinpipe.pipeline.drawing.recording import close_recording, open_recording
 from spinpipe.schemas import CLOUD, TILES, UPRIGHT
@@ -71,7 +71,7 @@ def record_difference(
         spatial_information=rrb.SpatialInformation(WORLD),
         background=palette.BACKGROUND,
         line_grid=False,
-        eye_controls=scene_eye(read),
+        eye_controls=scene_eye(scene_corners(read)).controls(),
     )
     rec.send_blueprint(rrb.Blueprint(view, collapse_panels=True))
     close_recording(rec)

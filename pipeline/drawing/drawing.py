@@ -5,12 +5,7 @@ recording can be rebuilt from the MCAP files at any time.
 
 Entities are named like the stages and topics they show, and live in three named frames: ``local``
 and ``world`` as in the messages, and ``candidate``, the object frame of the candidate under the
-time cursor. The time cursor stands on one of four timelines that are not time:
-
-- ``stage``: 1 ingest ... 5 verify; what the run knew after that stage,
-- ``tile``: origins scored tile by tile,
-- ``candidate``: one candidate after the other, by id,
-- ``iteration``: the registration steps of all candidates, one after the other.
+time cursor. The time cursor stands on timelines that are not time, see ``timelines``.
 """
 
 from __future__ import annotations
@@ -20,6 +15,7 @@ from typing import Protocol, TypeVar
 
 import rerun as rr
 
+from spinpipe.pipeline.drawing.timelines import candidate_step
 from spinpipe.schemas.topics import Topic
 
 T = TypeVar("T")
@@ -38,23 +34,15 @@ class Reader(Protocol):
         ...
 
 
-def at_stage(rec: rr.RecordingStream, name: str, tile: int = 0) -> None:
+def at_stage(rec: rr.RecordingStream, name: str) -> None:
     """Log what follows as a result of stage ``name``.
 
     A viewer shows an entity only where the active timeline has a row of it, so a result is also
-    there from the beginning of every other timeline.
-
-    Parameters
-    ----------
-    rec : recording
-    name : stage
-    tile : first step of the timeline ``tile`` at which it shows
+    there from the beginning of the timeline ``candidate``.
     """
     rec.reset_time()
     rec.set_time("stage", sequence=STAGE_NUMBER[name])
-    rec.set_time("tile", sequence=tile)
     rec.set_time("candidate", sequence=0)
-    rec.set_time("iteration", sequence=0)
 
 
 def at_stages(rec: rr.RecordingStream, path: str, first: str, last: str) -> None:
@@ -71,7 +59,7 @@ def at_stages(rec: rr.RecordingStream, path: str, first: str, last: str) -> None
 def at_candidate(rec: rr.RecordingStream, candidate: int) -> None:
     """Log what follows for one candidate."""
     rec.reset_time()
-    rec.set_time("candidate", sequence=candidate)
+    rec.set_time("candidate", sequence=candidate_step(candidate))
 
 
 def place(rec: rr.RecordingStream, path: str, frame: str) -> None:

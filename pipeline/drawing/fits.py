@@ -1,8 +1,7 @@
 """Draw how the model was registered to each candidate, step by step.
 
-The timeline ``iteration`` counts the steps of all candidates one after the other: the poses of
-the best start after each iteration, then the pose that was reported. Every row also carries the
-candidate's id, so the timeline ``candidate`` jumps to the last step of each.
+Candidate 42 is step 42 000 of the timeline ``candidate``, with the pose that was reported; 42 001
+and on are the poses of its best start, one an iteration, and the reported one again.
 """
 
 from __future__ import annotations
@@ -23,31 +22,35 @@ from spinpipe.pipeline.drawing.model import (
     model_tints,
     pose_of,
 )
+from spinpipe.pipeline.drawing.timelines import STEPS_A_CANDIDATE, candidate_step
 from spinpipe.schemas.records import F32, F64, Detection, FitTrace, ObjectModel
 
 
 class Fit(NamedTuple):
-    """The steps of one candidate on the timeline ``iteration``."""
+    """The steps of one candidate on the timeline ``candidate``."""
 
     detection: Detection
     trace: FitTrace | None
-    first_step: int
     poses: F64
-    """(P, 4, 4) T_world_object at step ``first_step + i``."""
+    """(P, 4, 4) T_world_object at step i of the candidate; the reported one first and last."""
+
+    @property
+    def steps(self) -> list[int]:
+        """(P,) on the timeline."""
+        return [candidate_step(self.detection.cluster, i) for i in range(len(self.poses))]
 
 
 def order_fits(detections: Sequence[Detection], traces: Sequence[FitTrace]) -> list[Fit]:
-    """Lay the steps of the candidates behind each other."""
+    """The steps of each candidate."""
     trace_of = {trace.cluster: trace for trace in traces}
     fits: list[Fit] = []
-    step = 0
     for detection in detections:
         trace = trace_of.get(detection.cluster)
         poses = detection.T_world_object.reshape(1, 4, 4)
         if trace is not None:
-            poses = np.concatenate([trace.poses.reshape(-1, 4, 4), poses])
-        fits.append(Fit(detection, trace, step, poses))
-        step += len(poses)
+            walked = trace.poses.reshape(-1, 4, 4)[: STEPS_A_CANDIDATE - 2]
+            poses = np.concatenate([poses, walked, poses])
+        fits.append(Fit(detection, trace, poses))
     return fits
 
 
@@ -80,7 +83,7 @@ def draw_pose(
         if name != detection.model:
             rec.log(path, hidden())
             continue
-        colour = (*palette.FATES[detection.fate], 130)
+        colour = (*palette.fate_colour(detection.fate)[:3], 130)
         rec.log(path, model_tint(model, colour), pose_of(detection.T_world_object))
 
 
@@ -109,10 +112,7 @@ def draw_fits(
 
 def first_steps(fits: Sequence[Fit]) -> list[rr.TimeColumn]:
     """One row a candidate, at its first step."""
-    return [
-        rr.TimeColumn("candidate", sequence=[fit.detection.cluster for fit in fits]),
-        rr.TimeColumn("iteration", sequence=[fit.first_step for fit in fits]),
-    ]
+    return [rr.TimeColumn("candidate", sequence=[fit.steps[0] for fit in fits])]
 
 
 def _draw_model(rec: rr.RecordingStream, fits: Sequence[Fit], model: ObjectModel) -> None:
@@ -120,24 +120,23 @@ def _draw_model(rec: rr.RecordingStream, fits: Sequence[Fit], model: ObjectModel
     path = model_path("verify/fit", model.name)
     own = [fit for fit in fits if fit.detection.model == model.name]
     if own:
-        colours = np.array([(*palette.FATES[fit.detection.fate], 130) for fit in own], np.uint8)
+        colours = np.array(
+            [(*palette.fate_colour(fit.detection.fate)[:3], 130) for fit in own], np.uint8
+        )
         rec.send_columns(path, indexes=first_steps(own), columns=model_tints(model, colours))
-    rows: list[tuple[int, int, F64]] = []
+    rows: list[tuple[int, F64]] = []
     shown = True  # as the best candidate's, by the row of the stage
     for fit in fits:
         mine = fit.detection.model == model.name
         if mine or shown:
             poses = fit.poses if mine else np.zeros((1, 4, 4))
-            rows += [(fit.detection.cluster, fit.first_step + i, T) for i, T in enumerate(poses)]
+            rows += list(zip(fit.steps, poses, strict=False))
         shown = mine
-    candidates, steps, poses = zip(*rows, strict=True)
+    steps, poses = zip(*rows, strict=True)
     T = np.array(poses, np.float32)
     rec.send_columns(
         path,
-        indexes=[
-            rr.TimeColumn("candidate", sequence=candidates),
-            rr.TimeColumn("iteration", sequence=steps),
-        ],
+        indexes=[rr.TimeColumn("candidate", sequence=steps)],
         columns=rr.InstancePoses3D.columns(translations=T[:, :3, 3], mat3x3=T[:, :3, :3]),
     )
 
@@ -148,7 +147,7 @@ def draw_rms(rec: rr.RecordingStream, fits: Sequence[Fit]) -> None:
     if not traced:
         return
     starts = max(fit.trace.rms_m.shape[0] for fit in traced if fit.trace is not None)
-    steps = np.concatenate([fit.first_step + np.arange(len(fit.poses)) for fit in traced])
+    steps = np.concatenate([fit.steps for fit in traced])
     curves = np.concatenate([_curves(fit, starts) for fit in traced])
     best = np.fmin.reduce(curves, axis=1)
     for path, rows, colours, width in (
@@ -168,7 +167,7 @@ def draw_rms(rec: rr.RecordingStream, fits: Sequence[Fit]) -> None:
         )
         rec.send_columns(
             path,
-            indexes=[rr.TimeColumn("iteration", sequence=steps)],
+            indexes=[rr.TimeColumn("candidate", sequence=steps)],
             columns=rr.Scalars.columns(scalars=rows.reshape(-1)).partition(
                 np.full(len(rows), rows.shape[1])
             ),
@@ -179,6 +178,6 @@ def _curves(fit: Fit, starts: int) -> F32:
     """(P, starts) residuals in metres at the fit's steps, NaN where there is none."""
     curves = np.full((len(fit.poses), starts), np.nan, np.float32)
     if fit.trace is not None:
-        rms = fit.trace.rms_m.T[: len(curves) - 1]
-        curves[: len(rms), : rms.shape[1]] = rms
+        rms = fit.trace.rms_m.T[: len(curves) - 2]
+        curves[1 : len(rms) + 1, : rms.shape[1]] = rms
     return curves

@@ -9,11 +9,17 @@ import rerun as rr
 
 from spinpipe.pipeline.drawing import palette
 from spinpipe.pipeline.drawing.drawing import LOCAL, WORLD, Reader, at_stage, at_stages, note, put
-from spinpipe.schemas import PLANE, TILES, UPRIGHT
-from spinpipe.schemas.records import F64, Plane, TileIndex
+from spinpipe.pipeline.drawing.preview import preview
+from spinpipe.schemas import CLOUD, PLANE, TILES, UPRIGHT
+from spinpipe.schemas.colormap import viridis
+from spinpipe.schemas.records import F64, Plane, TileIndex, Upright
+from spinpipe.stages.geometry.frames import to_world
+
+_HEIGHT_SHARES = (2, 98)
+"""Percentiles of the height that the colours span: a pole or a bird takes none of them."""
 
 
-def draw_ground(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:  # noqa: ARG001
+def draw_ground(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
     """Log the plane where it was found, its normal, and the transform that makes it level.
 
     Plane and cloud hang below the local frame, so both turn together: a plane that does not end
@@ -32,6 +38,7 @@ def draw_ground(read: Reader, rec: rr.RecordingStream, preview_points: int) -> N
     )
     corners, centre, size = _square(plane, upright.T_world_local, tiles)
     note(rec, _summary(plane))
+    _draw_heights(read, rec, preview_points, upright, tiles)
     at_stages(rec, "ground", "ground", "ground")
     put(
         rec,
@@ -55,6 +62,24 @@ def draw_ground(read: Reader, rec: rr.RecordingStream, preview_points: int) -> N
         ),
         LOCAL,
     )
+
+
+def _draw_heights(
+    read: Reader, rec: rr.RecordingStream, preview_points: int, upright: Upright, tiles: TileIndex
+) -> None:
+    """Log a second colouring of the cloud, which a view may choose: its height over the ground."""
+    clouds = ((tile.xyz, tile.rgb) for tile in read(CLOUD))
+    pieces = list(preview(clouds, tiles.counts.tolist(), preview_points))
+    heights = [to_world(upright, piece.xyz)[:, 2] for piece in pieces]
+    if not sum(map(len, heights)):
+        return
+    low, high = np.percentile(np.concatenate(heights), _HEIGHT_SHARES)
+    for piece, z in zip(pieces, heights, strict=True):
+        colors = viridis(z, float(low), float(max(high, low + 1e-6)))
+        batch = rr.DynamicArchetype(
+            "Height", components={"colors": rr.components.ColorBatch(colors)}
+        )
+        rec.log(f"ingest/cloud/{piece.number:04d}", batch, static=True)
 
 
 def _square(plane: Plane, T_world_local: F64, tiles: TileIndex) -> tuple[F64, F64, float]:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import rerun as rr
 
     from spinpipe.pipeline.drawing.drawing import Reader
+    from spinpipe.pipeline.drawing.threshold import Truth
 
 APPLICATION_ID = "spinpipe"
 DEFAULT_URL = "rerun+http://127.0.0.1:9876/proxy"
@@ -71,12 +72,22 @@ def open_recording(
     return rec
 
 
-def record_stage(stage: str, read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
+def record_stage(
+    stage: str,
+    read: Reader,
+    rec: rr.RecordingStream,
+    preview_points: int,
+    truth: Truth | None = None,
+) -> None:
     """Draw the messages of a finished stage; the layout follows as soon as bounds are known."""
     from spinpipe.pipeline.drawing.blueprint import build_blueprint
     from spinpipe.pipeline.drawing.draw import DRAW
+    from spinpipe.pipeline.drawing.verify import draw_verify
 
-    DRAW[stage](read, rec, preview_points)
+    if stage == "verify" and truth is not None:
+        draw_verify(read, rec, preview_points, truth)
+    else:
+        DRAW[stage](read, rec, preview_points)
     if stage in ("ingest", "ground"):  # the second time for the upright cloud
         rec.send_blueprint(build_blueprint(read, preview_points))
 

@@ -15,6 +15,8 @@ from spinpipe.pipeline.drawing.preview import preview, preview_rows
 from spinpipe.schemas import HITS, SCORES, SPIN_IMAGES
 from spinpipe.schemas.records import F32, U8, Hits, ScoreTile, SpinImage
 
+_TILES_WORTH_IT = 4
+"""Fewer steps tell no story."""
 _BINS = np.linspace(-1, 1, 101)
 
 
@@ -25,7 +27,9 @@ def draw_scan(read: Reader, rec: rr.RecordingStream, preview_points: int) -> Non
     counts = [len(tile.points) for tile in scores]
     histogram: dict[str, NDArray[np.int64]] = {}
     for piece in preview(_counted(scores, histogram), counts, preview_points):
-        at_stage(rec, "scan", tile=piece.last_tile)
+        at_stage(rec, "scan")
+        if len(scores) >= _TILES_WORTH_IT:
+            rec.set_time("tile", sequence=piece.last_tile)
         shape = rr.Points3D(piece.xyz, colors=piece.rgb)
         put(rec, f"scan/correlation/{piece.number:04d}", shape, WORLD)
     at_stage(rec, "scan")

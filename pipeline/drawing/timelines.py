@@ -5,7 +5,7 @@
   around it, why; 42 001 and on are the steps of its registration,
 - ``threshold``: from 0 to 100, falling from a perfect match: at step s everything is there that
   reaches 1 - s / 100 (hits and candidates by correlation, detections by score),
-- ``tile``: origins scored tile by tile; only where there are several.
+- ``tile``: origins scored tile by tile; only where there are several tiles.
 """
 
 from __future__ import annotations

@@ -16,6 +16,7 @@ import pytest
 import rerun as rr
 from rerun.chunk import Chunk, RrdReader
 
+from spinpipe.pipeline.drawing import palette
 from spinpipe.pipeline.drawing.draw import DRAW
 from spinpipe.pipeline.drawing.drawing import STAGE_NUMBER
 from spinpipe.pipeline.drawing.recording import (
@@ -24,6 +25,7 @@ from spinpipe.pipeline.drawing.recording import (
     open_recording,
     record_stage,
 )
+from spinpipe.pipeline.drawing.threshold import Truth
 from spinpipe.schemas import (
     CAMERAS,
     CLOUD,
@@ -32,6 +34,7 @@ from spinpipe.schemas import (
     HITS,
     MODELS,
     PLANE,
+    SAMPLING,
     SCENE,
     SCORES,
     SPIN_IMAGES,
@@ -50,6 +53,7 @@ from spinpipe.schemas.records import (
     ObjectModel,
     Part,
     Plane,
+    Sampling,
     SceneFrame,
     ScoreTile,
     SpinImage,
@@ -122,6 +126,7 @@ def make_detection(number: int, model: str, fate: str) -> Detection:
         parts=(Part("below ground", 0.01),),
         alternative="van",
         alternative_margin=0.2,
+        size_m=(4.0, 2.0, 1.5),
     )
 
 
@@ -170,6 +175,7 @@ def make_run() -> Messages:
             CAMERAS: [Cameras(np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)))],
             MODELS: [make_model("saloon", mesh=True), make_model("van", mesh=False)],
             PLANE: [Plane((0, 0, 1), 0.0, 900, 1000, 0.03, 0.1, "cameras", (Evidence("c", 1.0),))],
+            SAMPLING: [Sampling(0.1, 0.02)],
             UPRIGHT: [Upright((0.6, 0.0, 0.0, 0.8), (0.0, 0.0, 1.0))],
             SCORES: scores,
             HITS: [hits, replace(hits, model="van", points=hits.points[:0])],
@@ -245,7 +251,8 @@ def test_entities_are_named_after_stages_and_topics(recording: Path) -> None:
 
 def test_only_timelines_that_are_not_time(recording: Path) -> None:
     names = {str(index.name) for index in RrdReader(recording).store().schema().index_columns()}
-    assert names == {"stage", "tile", "candidate", "iteration"}
+    # three tiles are too few steps for a timeline of their own
+    assert names == {"stage", "candidate", "threshold"}
 
 
 def test_file_is_sound(recording: Path) -> None:
@@ -266,7 +273,7 @@ def test_cloud_is_static_in_the_local_frame_and_turns_upright_with_the_stage(
     assert column(local, "Transform3D:quaternion") == [[pytest.approx([0.6, 0, 0, 0.8])]]
 
 
-@pytest.mark.parametrize("timeline", ["tile", "candidate", "iteration"])
+@pytest.mark.parametrize("timeline", ["candidate"])
 @pytest.mark.parametrize(
     "path",
     ["/frames/local", "/frames/candidate", "/scan/spin_image/saloon/model", "/verify/accepted"],
@@ -290,12 +297,14 @@ def test_all_shapes_hang_in_one_tree_of_frames(recording: Path) -> None:
     assert drawn <= placed
 
 
-def test_tiles_appear_one_after_the_other(recording: Path) -> None:
-    tiles = [
-        column(chunks(recording, f"/scan/correlation/{i:04d}", static=False), "tile")
-        for i in range(3)
+def test_many_tiles_appear_one_after_the_other(tmp_path: Path) -> None:
+    run = make_run()
+    tiles = [*run(SCORES), *run(SCORES)]
+    path = draw(tmp_path / "run.rrd", run.with_messages(SCORES, tiles))
+    steps = [
+        column(chunks(path, f"/scan/correlation/{i:04d}", static=False), "tile") for i in range(6)
     ]
-    assert tiles == [[0], [1], [2]]
+    assert steps == [[i] for i in range(6)]
 
 
 def test_interim_results_are_cleared_by_later_stages(recording: Path) -> None:
@@ -309,27 +318,97 @@ def test_interim_results_are_cleared_by_later_stages(recording: Path) -> None:
         assert set(column(below, "stage")) == {first, cleared}
 
 
-def test_iterations_of_all_candidates_follow_each_other(recording: Path) -> None:
+def test_a_candidate_is_joined_with_the_steps_of_its_registration(recording: Path) -> None:
     saloon = chunks(recording, "/verify/fit/saloon", static=False)
-    moves = [c for c in saloon if c.timeline_names == ["candidate", "iteration"]]
-    steps = sorted(set(column(moves, "iteration")))
+    moves = [c for c in saloon if c.timeline_names == ["candidate"]]
+    steps = sorted(set(column(moves, "candidate")))
     # candidates 0 and 2 were traced, 1 shows its reported pose only, as another model
-    assert steps == list(range(2 * (ITERATIONS + 1) + 1))
+    walked = range(ITERATIONS + 2)
+    assert steps == [*walked, 1000, *(2000 + i for i in walked)]
     rms = chunks(recording, "/verify/rms/starts", static=False)
-    assert len(column(rms, "iteration")) == 2 * (ITERATIONS + 1)
+    assert column(rms, "candidate") == [i for i in steps if i != 1000]
     assert all(len(row) == STARTS for row in column(rms, "Scalars:scalars"))
+
+
+def test_every_candidate_has_its_surroundings_explained(recording: Path) -> None:
+    steps = [0, 1000, 2000]
+    for path in ("points", "surface", "box", "runner_up", "next_model"):
+        found = chunks(recording, f"/candidate/{path}", static=False)
+        assert [s for s in column(found, "candidate") if s is not None] == steps
+        assert column(found, "stage") == [STAGE_NUMBER["verify"]]  # of the best
+    sight = column(chunks(recording, "/candidate/surface"), "Points3D:colors")
+    points = column(chunks(recording, "/candidate/points"), "Points3D:positions")
+    assert all(len(row) for row in sight)
+    assert any(len(row) for row in points)
+    outline = chunks(recording, "/candidate/runner_up", static=False)
+    sizes = np.array(column(outline, "Boxes3D:half_sizes")[-3:])
+    assert sizes.shape == (3, 1, 3)
+
+
+def test_own_spin_image_stands_beside_the_model_s(recording: Path) -> None:
+    for name in ("own", "model", "difference"):
+        found = chunks(recording, f"/candidate/spin/{name}", static=False)
+        steps = [s for s in column(found, "candidate") if s is not None]
+        assert 0 in steps
+    own = column(chunks(recording, "/candidate/spin/own"), "DepthImage:format")
+    assert own[0][0]["width"] == 5
+
+
+def test_the_threshold_brings_what_reaches_it(recording: Path) -> None:
+    hits = chunks(recording, "/threshold/hits", static=False)
+    assert column(hits, "threshold") == [10]  # a correlation of 0.9
+    assert len(column(hits, "Points3D:positions")[0]) == 30
+    boxes = chunks(recording, "/threshold/detections", static=False)
+    assert column(boxes, "threshold") == [30, 40, 50]  # scores of 0.7, 0.6, 0.5
+    assert column(chunks(recording, "/threshold/candidates", static=False), "threshold") == [20]
+
+
+def test_labels_colour_the_threshold(tmp_path: Path) -> None:
+    rec = open_recording("test", "save", tmp_path / "run.rrd")
+    assert rec is not None
+    truth = Truth({0: True, 1: False}, np.array([[1.0, 2.0, 0.0]]))
+    for stage in STAGES:
+        record_stage(stage, make_run(), rec, 1000, truth)
+    close_recording(rec)
+    boxes = chunks(tmp_path / "run.rrd", "/threshold/detections", static=False)
+    colours = [row[0] >> 8 for row in column(boxes, "Boxes3D:colors")]  # rejected, false, found
+    assert colours[1:] == [
+        int.from_bytes(bytes(c)) for c in (palette.UNEXPLAINED, palette.ACCEPTED)
+    ]
+    missed = chunks(tmp_path / "run.rrd", "/threshold/missed", static=True)
+    assert column(missed, "Points3D:positions") == [[[1.0, 2.0, 0.0]]]
+
+
+def test_labels_of_kept_ones_do_not_hide_each_other(tmp_path: Path) -> None:
+    near = [
+        replace(
+            make_detection(0, "saloon", "accepted"),
+            id=i,
+            cluster=i,
+            position_world=(0.01 * i, 0, 0),
+        )
+        for i in range(20)
+    ]
+    path = draw(tmp_path / "run.rrd", make_run().with_messages(DETECTIONS, near))
+    (labels,) = column(chunks(path, "/verify/labels", static=False), "Points3D:labels")
+    assert labels == ["0"]
+
+
+def test_the_cloud_has_a_second_colouring_by_height(recording: Path) -> None:
+    cloud = chunks(recording, "/ingest/cloud/**")
+    assert sum(len(row) for row in column(cloud, "Height:colors")) == 1000
 
 
 def test_best_curve_follows_the_lowest_start_and_breaks_off(recording: Path) -> None:
     best = np.array(column(chunks(recording, "/verify/rms/best", static=False), "Scalars:scalars"))
     expected = np.nanmin(make_run()(TRACES)[0].rms_m, axis=0)
-    np.testing.assert_allclose(best[:ITERATIONS, 0], expected)
-    assert np.isnan(best[ITERATIONS, 0])
+    np.testing.assert_allclose(best[1 : ITERATIONS + 1, 0], expected)
+    assert np.isnan(best[ITERATIONS + 1, 0])
 
 
 def test_ledger_holds_every_candidate_with_its_reason(recording: Path) -> None:
     ledger = chunks(recording, "/verify/ledger")
-    assert column(ledger, "candidate") == [0, 1, 2]
+    assert column(ledger, "candidate") == [0, 1000, 2000]
     assert column(ledger, "fate") == [[fate] for fate in FATES]
     assert column(ledger, "reason") == [[f"{fate} for a reason"] for fate in FATES]
 
@@ -382,7 +461,9 @@ def test_a_run_that_stopped_early_can_be_looked_at(tmp_path: Path, until: int) -
         make_run().with_messages(CAMERAS, []).with_messages(SPIN_IMAGES, []),
         make_run().with_messages(TRACES, []),
         make_run().with_messages(SCENE, [replace(make_run()(SCENE)[0], coloured=False)]),
-        make_run().with_messages(MODELS, [make_model("van/of: two words", mesh=True)]),
+        make_run()
+        .with_messages(MODELS, [make_model("van/of: two words", mesh=True)])
+        .with_messages(DETECTIONS, [make_detection(0, "van/of: two words", "accepted")]),
     ],
     ids=["nothing found", "no cameras", "no traces", "no colours", "a name full of signs"],
 )

@@ -1,0 +1,74 @@
+"""What the pane of notes says about a candidate and about the outcome, as markdown."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+
+from spinpipe.pipeline.drawing import palette
+from spinpipe.schemas.records import Detection
+
+BAR = 16
+"""Characters of a full bar."""
+NOTED = 80
+
+
+def candidate_text(d: Detection) -> str:
+    """Why a candidate won or lost: its parts as bars against those of a right instance."""
+    x, y, z = d.position_scene
+    lines = [
+        f"## Candidate {d.id}: {d.model} {d.fate}",
+        f"**{d.reason}**",
+        "",
+        f"x_scene {x:.2f}, y_scene {y:.2f}, z_scene {z:.2f}; heading_world {d.heading_deg:.0f}°",
+        "",
+        "| part | | of |",
+        "|---|---|---|",
+    ]
+    for part in d.parts:
+        right = getattr(part, "reference", None)
+        share = part.value / right if right else part.value
+        filled = round(BAR * min(max(share, 0.0), 1.0))
+        text = f"{part.value:.2f}" + ("" if right is None else f" of {right:.2f}")
+        merit = getattr(part, "merit", None)
+        text += "" if merit is None else f", {merit:+.1f}"
+        lines.append(f"| {part.name} | `{'█' * filled}{'·' * (BAR - filled)}` | {text} |")
+    rival = f"{d.runner_up_rms_m:.3f} m at {d.runner_up_heading_deg:.0f}°"
+    numbers = [
+        ("score", f"{d.score:.3f}"),
+        ("correlation", f"{d.correlation:.3f}"),
+        ("residual", f"{d.rms_m:.3f} m, {d.inliers} points"),
+        ("runner-up", rival if math.isfinite(d.runner_up_rms_m) else "none"),
+        ("margin of the heading", f"{d.heading_margin:.2f}"),
+        ("model's surface seen", f"{d.coverage_model:.0%}, observed {d.observed:.0%}"),
+        ("scene explained", f"{d.coverage_scene:.0%}"),
+    ]
+    if d.alternative:
+        numbers.append(("next best model", f"{d.alternative}, {d.alternative_margin:.2f} behind"))
+    lines += ["", "| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in numbers)]
+    lines += ["", "Points: blue explained, orange not, grey ground. ", ""]
+    lines += ["Surface: green seen, red contradicted, grey not observed."]
+    return "\n".join(lines)
+
+
+def outcome_text(detections: Sequence[Detection]) -> str:
+    """How many of which fate, and every kept one with its reason."""
+    fates = Counter(d.fate for d in detections)
+    kept = sorted((d for d in detections if d.fate in palette.KEPT), key=lambda d: -d.score)
+    kept.sort(key=lambda d: palette.rank(d.fate))
+    lines = [
+        "## " + ", ".join(f"{fates[fate]} {fate}" for fate in palette.FATES if fates[fate]),
+        "",
+        "Candidate 42 is step 42 000 of the timeline `candidate`.",
+        "",
+        "| id | model | x_scene | y_scene | score | fate |",
+        "|---|---|---|---|---|---|",
+    ]
+    for d in kept[:NOTED]:
+        x, y, _ = d.position_scene
+        lines.append(f"| {d.id} | {d.model} | {x:.2f} | {y:.2f} | {d.score:.2f} | {d.fate} |")
+    lines += ["", *(f"- {d.id}: {d.reason}" for d in kept[:NOTED] if d.fate != "accepted")]
+    if len(kept) > NOTED:
+        lines.append(f"\n... and {len(kept) - NOTED} more: see report.html")
+    return "\n".join(lines)
