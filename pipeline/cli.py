@@ -38,6 +38,7 @@ class ExportFormat(StrEnum):
     obj = "obj"
     kitti = "kitti"
     las = "las"
+    mcap = "mcap"
 
 
 class Frame(StrEnum):
@@ -219,6 +220,7 @@ def export(
 
     geojson: footprints in longitude and latitude. ply, obj: fitted models in scene coordinates.
     kitti: labels in a camera frame at the world's origin. las: the scene's points with object ids.
+    mcap: the whole run for Foxglove (--fate all the fates that shall have boxes).
     """
     from spinpipe.pipeline.results.export import export_command
 

@@ -8,7 +8,16 @@ from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 
-from spinpipe.schemas.records import F64, Cameras, CloudTile, InstancePoses, ScoreTile, Upright
+from spinpipe.schemas.records import (
+    F32,
+    F64,
+    U8,
+    Cameras,
+    CloudTile,
+    InstancePoses,
+    ScoreTile,
+    Upright,
+)
 
 _FLOAT32 = PackedElementField.NumericType.FLOAT32
 _UINT8 = PackedElementField.NumericType.UINT8
@@ -31,13 +40,18 @@ def _rows(message: PointCloud, dtype: np.dtype) -> np.ndarray:
 _TILE = np.dtype([("xyz", "<f4", 3), ("rgba", "u1", 4)])
 
 
+def point_cloud(frame: str, xyz: F32, rgb: U8) -> PointCloud:
+    """Coordinates (N, 3) and colours (N, 3) -> coloured point cloud in a frame."""
+    rows = np.empty(len(xyz), dtype=_TILE)
+    rows["xyz"] = xyz
+    rows["rgba"][:, :3] = rgb
+    rows["rgba"][:, 3] = 255
+    return _cloud(frame, rows, _XYZ + _RGBA)
+
+
 def encode_tile(tile: CloudTile) -> PointCloud:
     """Cloud tile -> coloured point cloud in frame ``local``."""
-    rows = np.empty(len(tile.xyz), dtype=_TILE)
-    rows["xyz"] = tile.xyz
-    rows["rgba"][:, :3] = tile.rgb
-    rows["rgba"][:, 3] = 255
-    return _cloud("local", rows, _XYZ + _RGBA)
+    return point_cloud("local", tile.xyz, tile.rgb)
 
 
 def decode_tile(data: bytes) -> CloudTile:

@@ -97,9 +97,8 @@ def _boxes(
         radii=np.where(hidden, 0.0, -1.2 if name == "box" else -0.8),
         fill_mode=[rr.components.FillMode.MajorWireframe] * len(boxes),
         labels=[box[2] for box in boxes],
-        show_labels=[
-            name != "box" and not h for h in hidden
-        ],  # what it is itself stands in the notes
+        # what it is itself stands in the notes
+        show_labels=[name != "box" and bool(size.any()) for size, *_ in boxes],
     )
     rec.send_columns(f"{ROOT}/{name}", indexes=index, columns=columns)
 

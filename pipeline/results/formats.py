@@ -121,6 +121,13 @@ def write_labelled_las(export: Export, path: Path) -> None:
     write_las(export.read, export.detections, path)
 
 
+def write_merged_mcap(export: Export, path: Path) -> None:
+    """The run as one MCAP file, see docs/foxglove.md."""
+    from spinpipe.pipeline.results.merged_mcap import write_mcap
+
+    write_mcap(export.read, export.detections, path)
+
+
 FORMATS: dict[str, Callable[[Export, Path], None]] = {
     "csv": write_csv,
     "json": write_json,
@@ -129,6 +136,7 @@ FORMATS: dict[str, Callable[[Export, Path], None]] = {
     "obj": write_obj,
     "kitti": write_kitti,
     "las": write_labelled_las,
+    "mcap": write_merged_mcap,
 }
 SUFFIX = {"kitti": "txt"}
 """Of the file, where it is not the format's name."""
