@@ -18,7 +18,7 @@ from spinpipe.pipeline.drawing.preview import preview
 from spinpipe.pipeline.drawing.recording import close_recording, open_recording
 from spinpipe.schemas import CLOUD, TILES, UPRIGHT
 from spinpipe.schemas.records import Detection
-from spinpipe.stages.geometry.frames import to_world
+from spinpipe.stages.geometry.frames import heading_quaternion, to_world
 
 COLOURS = {
     "gained": palette.ACCEPTED,
@@ -80,12 +80,10 @@ def record_difference(
 def _boxes(detections: Sequence[Detection], colour: palette.Colour, radius: float) -> rr.Boxes3D:
     size = np.array([d.size_m for d in detections]).reshape(-1, 3)
     base = np.array([d.position_world for d in detections]).reshape(-1, 3)
-    half = np.deg2rad([d.heading_deg for d in detections]) / 2
-    zero = np.zeros_like(half)
     return rr.Boxes3D(
         centers=base + size * (0, 0, 0.5),
         half_sizes=size / 2,
-        quaternions=np.stack([zero, zero, np.sin(half), np.cos(half)], axis=-1),
+        quaternions=heading_quaternion([d.heading_deg for d in detections]),
         colors=colour,
         radii=radius,
         labels=[f"{d.id} {d.model}" for d in detections],

@@ -24,6 +24,7 @@ from spinpipe.pipeline.drawing.model import (
 )
 from spinpipe.pipeline.drawing.timelines import STEPS_A_CANDIDATE, candidate_step
 from spinpipe.schemas.records import F32, F64, Detection, FitTrace, ObjectModel
+from spinpipe.stages.geometry.frames import heading_quaternion
 
 
 class Fit(NamedTuple):
@@ -68,12 +69,11 @@ def draw_pose(
     rec: rr.RecordingStream, detection: Detection, models: Mapping[str, ObjectModel]
 ) -> None:
     """Show one detection's model at the current time, and move the candidate's frame there."""
-    half = np.deg2rad(detection.heading_deg) / 2
     rec.log(
         "frames/candidate",
         rr.Transform3D(
             translation=detection.position_world,
-            quaternion=rr.Quaternion(xyzw=(0.0, 0.0, float(np.sin(half)), float(np.cos(half)))),
+            quaternion=rr.Quaternion(xyzw=heading_quaternion(detection.heading_deg)),
             child_frame=CANDIDATE,
             parent_frame=WORLD,
         ),
@@ -94,14 +94,12 @@ def draw_fits(
 
     As columns, one call an entity: a scene has thousands of candidates.
     """
-    half = np.deg2rad([fit.detection.heading_deg for fit in fits]) / 2
-    zero = np.zeros_like(half)
     rec.send_columns(
         "frames/candidate",
         indexes=first_steps(fits),
         columns=rr.Transform3D.columns(
             translation=[fit.detection.position_world for fit in fits],
-            quaternion=np.stack([zero, zero, np.sin(half), np.cos(half)], axis=1),
+            quaternion=heading_quaternion([fit.detection.heading_deg for fit in fits]),
             child_frame=[CANDIDATE] * len(fits),
             parent_frame=[WORLD] * len(fits),
         ),

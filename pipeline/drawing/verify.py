@@ -24,6 +24,7 @@ from spinpipe.pipeline.drawing.texts import candidate_text, outcome_text
 from spinpipe.pipeline.drawing.threshold import Truth, draw_threshold
 from spinpipe.schemas import DETECTIONS, MODELS, TRACES
 from spinpipe.schemas.records import F64, Detection, ObjectModel
+from spinpipe.stages.geometry.frames import heading_quaternion, yaw_matrix
 
 _LEDGER = (
     *("fate", "score", "model", "reason", "correlation", "rms_m", "coverage_model"),
@@ -73,8 +74,6 @@ def _draw_boxes(
     kept = fate in palette.KEPT
     sizes = np.array([_size(d, models) for d in detections]).reshape(-1, 3)
     base = np.array([d.position_world for d in detections]).reshape(-1, 3)
-    heading = np.deg2rad([d.heading_deg for d in detections])
-    zero = np.zeros_like(heading)
     put(
         rec,
         f"verify/{fate}",
@@ -82,7 +81,7 @@ def _draw_boxes(
             centers=base + sizes * (0, 0, 0.5),
             # a rejected box often has an accepted one at its very place: stay inside of that
             half_sizes=sizes / 2 * (1.0 if kept else 0.97),
-            quaternions=np.stack([zero, zero, np.sin(heading / 2), np.cos(heading / 2)], axis=-1),
+            quaternions=heading_quaternion([d.heading_deg for d in detections]),
             colors=palette.FATES[fate],
             radii=-1.2 if kept else -0.5,
             fill_mode="MajorWireframe",
@@ -93,7 +92,7 @@ def _draw_boxes(
     )
     if not kept:
         return
-    forward = np.stack([np.cos(heading), np.sin(heading), zero], axis=-1)
+    forward = np.array([yaw_matrix(d.heading_deg)[:3, 0] for d in detections]).reshape(-1, 3)
     put(
         rec,
         f"verify/{fate}/heading",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from spinpipe.schemas.records import F64, Detection, ObjectModel
 from spinpipe.schemas.topics import Topic
-from spinpipe.stages.geometry.frames import inverse
+from spinpipe.stages.geometry.frames import heading_quaternion, inverse
 
 T = TypeVar("T")
 
@@ -54,12 +54,6 @@ def box_corners(d: Detection, T: F64) -> F64:
     return corners @ T[:3, :3].T + T[:3, 3]
 
 
-def heading_quaternion(heading_deg: float) -> tuple[float, float, float, float]:
-    """Rotation object -> world of an upright object, x y z w."""
-    half = np.radians(heading_deg) / 2
-    return 0.0, 0.0, float(np.sin(half)), float(np.cos(half))
-
-
 def row(d: Detection, models: Mapping[str, ObjectModel]) -> dict[str, Any]:
     """One detection as a flat row, for tables: strings and finite or not finite numbers."""
     T = T_scene_object(d, models)
@@ -92,7 +86,7 @@ def entry(d: Detection, models: Mapping[str, ObjectModel]) -> dict[str, Any]:
         if field.name not in _RENAMED
     }
     values["heading_scene_deg"] = heading_scene_deg(T_scene_object(d, models))
-    values["quaternion_xyzw"] = heading_quaternion(d.heading_deg)
+    values["quaternion_xyzw"] = tuple(heading_quaternion(d.heading_deg).tolist())
     values["parts"] = {part.name: part.value for part in d.parts}
     if d.parts and len(dataclasses.fields(d.parts[0])) > 2:
         values["evidence"] = d.parts

@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 from spinpipe.pipeline.scenes import artificial_clutter as clutter
 from spinpipe.pipeline.scenes.artificial_cars import COMPACT, SALOON, car_mesh, car_paint
 from spinpipe.pipeline.scenes.artificial_clutter import Colour, Item
+from spinpipe.stages.geometry.frames import transform, yaw_matrix
 from spinpipe.stages.geometry.shapes import (
     Mesh,
     covered_from_above,
     merged,
     sample_surface,
     surface_area,
-    transform,
-    upright_pose,
 )
 
 SEED = 2010
@@ -270,7 +269,7 @@ def _sampled(
 
 
 def _pose(item: Item) -> NDArray[np.float64]:
-    return upright_pose((item.x, item.y, 0.0), item.heading_deg)
+    return yaw_matrix(item.heading_deg, (item.x, item.y, 0.0))
 
 
 def _on_item(items: Sequence[Item], label: int, count: int, rng: np.random.Generator) -> _Samples:
@@ -281,7 +280,7 @@ def _on_item(items: Sequence[Item], label: int, count: int, rng: np.random.Gener
     if item.roughness_m > 0:
         points = points + item.roughness_m * rng.standard_normal((count, 1)) * normals
     xyz = transform(_pose(item), points)
-    normals = transform(upright_pose((0.0, 0.0, 0.0), item.heading_deg), normals)
+    normals = transform(yaw_matrix(item.heading_deg), normals)
     sunlit = 0.3 * normals[:, 0] - 0.4 * normals[:, 1] + 0.866 * normals[:, 2]
     light = 0.82 + 0.18 * sunlit + 0.04 * rng.standard_normal(count)
     rgb = np.clip(np.round(colours * light[:, None]), 0, 255).astype(np.uint8)

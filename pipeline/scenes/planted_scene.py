@@ -18,16 +18,13 @@ from spinpipe.pipeline.config import RunConfig, load_config
 from spinpipe.pipeline.context import RunReader
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.pipeline.scenes.planting import Plant
+from spinpipe.pipeline.scenes.write_ply import cloud_rows, ply_header
 from spinpipe.schemas import CLOUD, DETECTIONS, UPRIGHT
 from spinpipe.schemas.records import Detection
 from spinpipe.stages.geometry.frames import heading_deg, to_world
 
 COLOUR = (230, 60, 200)
 """Of planted points, so that a person can tell them from the scene's own."""
-
-_VERTEX = np.dtype(
-    [(axis, "<f4") for axis in "xyz"] + [(c, "u1") for c in ("red", "green", "blue")]
-)
 
 
 @dataclass(frozen=True)
@@ -80,12 +77,9 @@ def _write_scene(path: Path, folder: RunFolder, plants: Sequence[Plant]) -> None
 
     def write(partial: Path) -> None:
         count = sum(len(rows) for rows in _scene_rows(folder, plants))
-        names = {"f": "float", "u": "uchar"}
-        lines = ["ply", "format binary_little_endian 1.0", "comment planted by spinpipe"]
-        lines.append(f"element vertex {count}")
-        lines += [f"property {names[_VERTEX[n].kind]} {n}" for n in _VERTEX.names or ()]
+        vertex = cloud_rows(np.empty((0, 3)), np.empty((0, 3), np.uint8)).dtype
         with partial.open("wb") as stream:
-            stream.write(("\n".join([*lines, "end_header"]) + "\n").encode())
+            stream.write(ply_header(vertex, count, comment="planted by spinpipe"))
             for rows in _scene_rows(folder, plants):
                 stream.write(rows.tobytes())
 
@@ -100,13 +94,6 @@ def _scene_rows(folder: RunFolder, plants: Sequence[Plant]) -> Iterator[NDArray[
         hidden = np.zeros(len(xyz), bool)
         for plant in plants:
             hidden |= plant.hides(xyz)
-        yield _rows(xyz[~hidden], tile.rgb[~hidden])
+        yield cloud_rows(xyz[~hidden], tile.rgb[~hidden])
     for plant in plants:
-        yield _rows(plant.points, np.broadcast_to(np.array(COLOUR), plant.points.shape))
-
-
-def _rows(xyz: NDArray[np.floating], rgb: NDArray[np.integer]) -> NDArray[np.void]:
-    rows = np.empty(len(xyz), _VERTEX)
-    rows["x"], rows["y"], rows["z"] = xyz.T
-    rows["red"], rows["green"], rows["blue"] = rgb.T
-    return rows
+        yield cloud_rows(plant.points, np.array(COLOUR, np.uint8))

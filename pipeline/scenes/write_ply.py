@@ -38,24 +38,33 @@ def write_ply(
         If a field has a type that PLY lacks, or names or comment would break the header.
     """
     vertex = _little_endian(vertices.dtype)
-    header = ["ply", "format binary_little_endian 1.0"]
-    if comment:
-        if not comment.isprintable():
-            raise ValueError("the comment must be one printable line")
-        header.append(f"comment {comment}")
-    header.append(f"element vertex {len(vertices)}")
-    header += [f"property {_NAMES[vertex[name].str[1:]]} {name}" for name in vertex.names or ()]
+    header = ply_header(vertex, len(vertices), None if faces is None else len(faces), comment)
     tables = [vertices.astype(vertex, copy=False)]
     if faces is not None:
-        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
         rows = np.empty(len(faces), _FACE)
         rows["count"] = 3
         rows["vertex_indices"] = faces
         tables.append(rows)
     with path.open("wb") as file:
-        file.write("\n".join([*header, "end_header\n"]).encode())
+        file.write(header)
         for table in tables:
             file.write(np.ascontiguousarray(table).view(np.uint8).data)
+
+
+def ply_header(
+    vertex: np.dtype[Any], count: int, faces: int | None = None, comment: str = ""
+) -> bytes:
+    """Header of a file with ``count`` vertices, and triangles if their number is given."""
+    lines = ["ply", "format binary_little_endian 1.0"]
+    if comment:
+        if not comment.isprintable():
+            raise ValueError("the comment must be one printable line")
+        lines.append(f"comment {comment}")
+    lines.append(f"element vertex {count}")
+    lines += [f"property {_NAMES[vertex[name].str[1:]]} {name}" for name in vertex.names or ()]
+    if faces is not None:
+        lines += [f"element face {faces}", "property list uchar int vertex_indices"]
+    return "\n".join([*lines, "end_header\n"]).encode()
 
 
 def cloud_rows(

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-I64 = NDArray[np.int64]
+from spinpipe.schemas.arrays import F32, F64, I64, U64
 
 
-def column_order(points: NDArray[np.float64], side_m: float) -> tuple[I64, I64, I64, I64, I64]:
+def column_order(points: F64, side_m: float) -> tuple[I64, I64, I64, I64, I64]:
     """Sort points by column and by height within it.
 
     The grid is anchored at the origin, so a part of a cloud falls into the same columns as the
@@ -36,18 +35,20 @@ def column_order(points: NDArray[np.float64], side_m: float) -> tuple[I64, I64, 
     return order, first.astype(np.int64), keys, low, cells
 
 
-def _by_key_and_height(key: I64, points: NDArray[np.float64]) -> I64:
-    """Rows by key, then z, x and y.
+def key_and_height(key: I64, height: F32) -> U64:
+    """(N,) one number for key and finite height, in their order: sorts faster than two columns.
 
-    Sorting one integer for key and height is several times as fast as a sort by four columns;
-    only rows that agree in it need the other columns.
+    A float32's bits are in its order, once those of negative numbers are flipped.
     """
-    if key.max(initial=0) >= 1 << 31:
-        return np.lexsort((points[:, 1], points[:, 0], points[:, 2], key))
-    # bits of a float32 as an integer of the same order: those of negative numbers are flipped
-    bits = np.ascontiguousarray(points[:, 2], dtype=np.float32).view(np.int32).astype(np.int64)
-    height = np.where(bits < 0, ~bits & 0xFFFFFFFF, bits | 0x80000000)
-    code = (key << 32) | height
+    rank = key if key.max(initial=0) < 2**31 else np.unique(key, return_inverse=True)[1]
+    bits = height.view(np.uint32)
+    negative = np.negative(bits >> np.uint32(31))  # all ones or zero
+    return (rank.astype(np.uint64) << np.uint64(32)) | (bits ^ (negative | np.uint32(2**31)))
+
+
+def _by_key_and_height(key: I64, points: F64) -> I64:
+    """Rows by key, then z, x and y; only rows of equal key and height need the other columns."""
+    code = key_and_height(key, np.ascontiguousarray(points[:, 2], dtype=np.float32))
     order = np.argsort(code, kind="stable")
     code = code[order]
     same = np.zeros(len(order) + 1, bool)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from spinpipe.schemas.records import F32, F64, SceneFrame, Upright, Vector
 
@@ -45,13 +46,23 @@ def to_world(upright: Upright, local: F32) -> F32:
     return transform(upright.T_world_local, local).astype(np.float32)
 
 
-def yaw_matrix(heading_deg: float, translation: NDArray[Any]) -> F64:
-    """(4, 4) pose of an upright object: turned about z, then moved."""
-    c, s = np.cos(np.radians(heading_deg)), np.sin(np.radians(heading_deg))
+def yaw_matrix(heading_deg: float, translation: ArrayLike = (0.0, 0.0, 0.0)) -> F64:
+    """(4, 4) pose of an upright object: turned about z, then moved. Quarter turns are exact."""
+    turned = math.radians(heading_deg % 90.0)
+    cosine, sine = math.cos(turned), math.sin(turned)
+    for _ in range(int(heading_deg % 360.0 // 90.0)):
+        cosine, sine = -sine, cosine
     T = np.eye(4)
-    T[:2, :2] = [[c, -s], [s, c]]
+    T[:2, :2] = [[cosine, -sine], [sine, cosine]]
     T[:3, 3] = translation
     return T
+
+
+def heading_quaternion(heading_deg: ArrayLike) -> F64:
+    """(..., 4) rotation x y z w object -> world of upright objects (...,) with these headings."""
+    half = np.radians(np.asarray(heading_deg, np.float64)) / 2.0
+    zero = np.zeros_like(half)
+    return np.stack([zero, zero, np.sin(half), np.cos(half)], axis=-1)
 
 
 def heading_deg(T_world_object: F64) -> float:

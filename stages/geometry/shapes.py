@@ -13,12 +13,15 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spinpipe.schemas.arrays import F64, I64, Mask
+from spinpipe.stages.geometry.frames import transform, yaw_matrix
+
 
 class Mesh(NamedTuple):
     """A triangle mesh: ``vertices`` (V, 3) float64 in metres, ``faces`` (F, 3) int64 indices."""
 
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
+    vertices: F64
+    faces: I64
 
 
 def sample_surface(
@@ -26,7 +29,7 @@ def sample_surface(
     faces: NDArray[np.integer],
     count: int,
     rng: np.random.Generator,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[F64, F64]:
     """Draw points independently and uniformly by area from a triangle mesh.
 
     A face is drawn with probability proportional to its area, then a point in it by the
@@ -58,11 +61,11 @@ def sample_surface(
 class SurfaceDraw(NamedTuple):
     """Points drawn from a mesh, and where on it they lie."""
 
-    points: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    face: NDArray[np.int64]
+    points: F64
+    normals: F64
+    face: I64
     """(count,) rows of ``faces``."""
-    weights: NDArray[np.float64]
+    weights: F64
     """(count, 3) barycentric coordinates in them."""
 
 
@@ -74,7 +77,7 @@ def draw_on_faces(
 ) -> SurfaceDraw:
     """``sample_surface``, and where on the mesh each point lies."""
     areas, unit_normals = face_areas_and_normals(vertices, faces)
-    cumulative: NDArray[np.float64] = np.cumsum(areas)
+    cumulative: F64 = np.cumsum(areas)
     if not len(cumulative) or not cumulative[-1] > 0:
         raise ValueError("the mesh has no face with an area: nothing to sample")
     draws = rng.random((count, 3))
@@ -90,7 +93,7 @@ def draw_on_faces(
 
 def face_areas_and_normals(
     vertices: NDArray[np.floating], faces: NDArray[np.integer]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[F64, F64]:
     """Areas (F,) and unit normals (F, 3) of triangles; a face without area has normal 0."""
     a, b, c = (np.asarray(vertices, np.float64)[faces[:, corner]] for corner in range(3))
     crossed = np.cross(b - a, c - a)
@@ -99,9 +102,7 @@ def face_areas_and_normals(
     return doubled / 2, normals
 
 
-def covered_from_above(
-    points: NDArray[np.float64], mesh: Mesh, clearance_m: float = 1e-3
-) -> NDArray[np.bool_]:
+def covered_from_above(points: F64, mesh: Mesh, clearance_m: float = 1e-3) -> Mask:
     """Whether a face of the mesh lies straight above each point (N, 3), by ``clearance_m``."""
     covered = np.zeros(len(points), bool)
     order = np.argsort(points[:, 0], kind="stable")
@@ -132,34 +133,9 @@ def surface_area(mesh: Mesh) -> float:
     return float(face_areas_and_normals(*mesh)[0].sum())
 
 
-def upright_pose(position: ArrayLike, heading_deg: float = 0.0) -> NDArray[np.float64]:
-    """Rigid transform (4, 4) that turns about +z by ``heading_deg`` and then moves to ``position``.
-
-    Whole quarter turns come out exact.
-    """
-    turned = math.radians(heading_deg % 90.0)
-    cosine, sine = math.cos(turned), math.sin(turned)
-    for _ in range(int(heading_deg % 360.0 // 90.0)):
-        cosine, sine = -sine, cosine
-    T = np.eye(4)
-    T[:2, :2] = [[cosine, -sine], [sine, cosine]]
-    T[:3, 3] = position
-    return T
-
-
-def transform(T: NDArray[np.float64], points: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Apply a (4, 4) transform to (N, 3) points."""
-    # Sums written out: a matrix product may round differently on another machine
-    columns = [
-        T[row, 0] * points[:, 0] + T[row, 1] * points[:, 1] + T[row, 2] * points[:, 2] + T[row, 3]
-        for row in range(3)
-    ]
-    return np.stack(columns, axis=1)
-
-
 def placed(mesh: Mesh, position: ArrayLike, heading_deg: float = 0.0) -> Mesh:
     """Return the mesh turned about +z by ``heading_deg`` and then moved to ``position``."""
-    return Mesh(transform(upright_pose(position, heading_deg), mesh.vertices), mesh.faces)
+    return Mesh(transform(yaw_matrix(heading_deg, position), mesh.vertices), mesh.faces)
 
 
 def merged(meshes: Sequence[Mesh]) -> Mesh:
@@ -199,7 +175,7 @@ def cylinder(
 def ellipsoid(radii: tuple[float, float, float], sides: int = 16, rings: int = 8) -> Mesh:
     """Ellipsoid with half axes ``radii`` that stands on its lowest point."""
     ring = _circle(sides)
-    sections: list[NDArray[np.float64]] = []
+    sections: list[F64] = []
     for step in range(rings + 1):
         angle = math.pi * step / rings
         size, level = math.sin(angle), 1 - math.cos(angle)
@@ -250,7 +226,7 @@ def lofted(sections: Sequence[NDArray[np.floating]], capped: bool = True) -> Mes
     return Mesh(np.concatenate(sections).astype(np.float64), np.concatenate(faces))
 
 
-def triangulated(corners: NDArray[np.float64]) -> NDArray[np.int64]:
+def triangulated(corners: F64) -> I64:
     """Triangles (K - 2, 3) of a simple polygon (K, 2) that turns left, by ear clipping.
 
     Raises
@@ -274,27 +250,27 @@ def triangulated(corners: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def _places(
-    ordered: NDArray[np.float64],
-    values: NDArray[np.float64],
+    ordered: F64,
+    values: F64,
     side: Literal["left", "right"] = "right",
 ) -> NDArray[np.intp]:
     """Where in the ascending array each value belongs."""
     return np.asarray(np.searchsorted(ordered, values, side=side), np.intp)
 
 
-def _inside(triangle: NDArray[np.float64], points: NDArray[np.float64]) -> bool:
+def _inside(triangle: F64, points: F64) -> bool:
     """Whether any point lies in a triangle that turns left, its border included."""
     edges = np.roll(triangle, -1, axis=0) - triangle
     offsets = points[:, None] - triangle
     return bool((edges[:, 0] * offsets[..., 1] >= edges[:, 1] * offsets[..., 0]).all(axis=1).any())
 
 
-def _doubled_area(corners: NDArray[np.float64]) -> float:
+def _doubled_area(corners: F64) -> float:
     following = np.roll(corners, -1, axis=0)
     return float((corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0]).sum())
 
 
-def _band(lower: NDArray[np.int64], upper: NDArray[np.int64]) -> NDArray[np.int64]:
+def _band(lower: I64, upper: I64) -> I64:
     """Two triangles for each side between two closed rings of indices."""
     lower_next, upper_next = np.roll(lower, -1), np.roll(upper, -1)
     return np.concatenate(
@@ -305,6 +281,6 @@ def _band(lower: NDArray[np.int64], upper: NDArray[np.int64]) -> NDArray[np.int6
     )
 
 
-def _circle(sides: int) -> NDArray[np.float64]:
+def _circle(sides: int) -> F64:
     angles = [2 * math.pi * step / sides for step in range(sides)]
     return np.array([(math.cos(angle), math.sin(angle)) for angle in angles])

@@ -12,16 +12,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-F32 = NDArray[np.float32]
-I64 = NDArray[np.int64]
-U64 = NDArray[np.uint64]
+from spinpipe.schemas.arrays import F32, I64, U64
+from spinpipe.stages.geometry.hashing import GOLDEN, mix
 
 FLOAT32_STEPS = 2.0**24
 """A float32 has 24 significant bits: a finer grid than this share of the extent says nothing."""
-SALTS = np.array([0x9E3779B97F4A7C15, 0x3C6EF372FE94F82A, 0xDAA66D2C7DDF743F], np.uint64)
-"""Multiples of the golden ratio, so that swapped coordinates differ."""
+SALTS = GOLDEN * np.arange(1, 4, dtype=np.uint64)
+"""One for each axis, so that swapped coordinates differ."""
 
 
 @dataclass(frozen=True)
@@ -49,18 +47,11 @@ class AreaSample:
         return sample
 
 
-def _mix(words: U64) -> U64:
-    """Finaliser of splitmix64 (Steele, Lea, Flood 2014): a bijection that spreads every bit."""
-    words = (words ^ (words >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    words = (words ^ (words >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return words ^ (words >> np.uint64(31))
-
-
 def _hash_rows(columns: U64) -> U64:
     """Hash of each row of (N, 3) 64-bit words."""
     state = np.zeros(len(columns), np.uint64)
     for column, salt in zip(columns.T, SALTS, strict=True):
-        state = _mix(state ^ (column + salt))
+        state = mix(state ^ (column + salt))
     return state
 
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from spinpipe.schemas.records import F32
+from spinpipe.schemas.arrays import F32, F64, I64
+from spinpipe.stages.geometry.hashing import GOLDEN, mix
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 
 SQUARES_ALONG = 64
 """Squares along the scene's diagonal."""
+_OTHER = np.uint64(0xD1B54A32D192ED03)
+"""An odd number unlike ``GOLDEN``, so that swapped indices differ."""
 
 
 def points_of_some_squares(cloud: WorldCloud, diagonal_m: float, max_points: int) -> F32:
@@ -41,11 +43,7 @@ def points_of_some_squares(cloud: WorldCloud, diagonal_m: float, max_points: int
     return points[np.lexsort(points.T[::-1])]
 
 
-def _fraction(square: NDArray[np.int64]) -> NDArray[np.float64]:
-    """A number in 0..1 for each (N, 2) square: splitmix64 of its packed indices [Steele 2014]."""
-    with np.errstate(over="ignore"):
-        z = square[:, 0].astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
-        z += square[:, 1].astype(np.uint64) * np.uint64(0xD1B54A32D192ED03)
-        z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-        z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return ((z ^ (z >> np.uint64(31))) >> np.uint64(11)).astype(np.float64) * 2.0**-53
+def _fraction(square: I64) -> F64:
+    """A number in 0..1 for each (N, 2) square, by a hash of its indices."""
+    x, y = square.astype(np.uint64).T
+    return (mix(x * GOLDEN + y * _OTHER) >> np.uint64(11)).astype(np.float64) * 2.0**-53

@@ -10,8 +10,9 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from spinpipe.schemas.records import F64, ObjectModel
+from spinpipe.stages.geometry.frames import transform
 from spinpipe.stages.geometry.seen_from_above import sample_seen, seen_from_above, seen_from_around
-from spinpipe.stages.geometry.shapes import Mesh, face_areas_and_normals, transform
+from spinpipe.stages.geometry.shapes import Mesh, face_areas_and_normals
 from spinpipe.stages.ingest.model_file import Axis, ModelFile, open_model
 from spinpipe.stages.ingest.vehicles import VEHICLES, vehicle_mesh
 from spinpipe.stages.stage import InputPath, Section, StageError

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import U64
 from spinpipe.schemas.records import F32, F64, U8
+from spinpipe.stages.geometry.hashing import GOLDEN, mix
 
 POINT = np.dtype([("xyz", np.float32, 3), ("rgb", np.uint8, 3)])
 """A point on its way to a tile: local frame, metres; colour."""
-
-_U64 = NDArray[np.uint64]
 
 
 class HashSample:
@@ -37,7 +37,7 @@ class HashSample:
         self._most = most
         self._bits = 0
         self._xyz: list[F64] = [np.empty((0, 3))]
-        self._hashes: list[_U64] = [np.empty(0, np.uint64)]
+        self._hashes: list[U64] = [np.empty(0, np.uint64)]
         self._count = 0
 
     def add(self, xyz: F64) -> None:
@@ -60,22 +60,19 @@ class HashSample:
         """The sample (S, 3)."""
         return np.concatenate(self._xyz)
 
-    def _below(self, hashes: _U64) -> NDArray[np.bool_]:
+    def _below(self, hashes: U64) -> NDArray[np.bool_]:
         if self._bits >= 64:
             return np.zeros(len(hashes), np.bool_)
         return hashes <= np.uint64((1 << (64 - self._bits)) - 1)
 
 
-def _hashed(xyz: F64) -> _U64:
-    """64-bit hashes of coordinates, by the finalizer of SplitMix64 [Steele et al. 2014]."""
+def _hashed(xyz: F64) -> U64:
+    """64-bit hashes of coordinates."""
     state = np.zeros(len(xyz), np.uint64)
     for axis in range(3):
         # adding 0.0 turns -0.0, which equals 0.0, into the same bits
         state += np.ascontiguousarray(xyz[:, axis] + 0.0).view(np.uint64)
-        state += np.uint64(0x9E3779B97F4A7C15)
-        state = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-        state = (state ^ (state >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-        state ^= state >> np.uint64(31)
+        state = mix(state + GOLDEN)
     return state
 
 
@@ -201,7 +198,7 @@ def _canonical_order(points: NDArray[np.void]) -> NDArray[np.int64]:
     return order
 
 
-def _spread(cells: _U64) -> _U64:
+def _spread(cells: U64) -> U64:
     """Move bit i of 21-bit numbers to bit 3 i."""
     masks = (
         (32, 0x1F00000000FFFF),

@@ -9,7 +9,9 @@ let each stretch within bounds while it is fitted.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from spinpipe.schemas.arrays import F64
+from spinpipe.stages.geometry.shapes import Mesh, extruded, lofted, merged, placed
 
 # Sections from tail to nose: (x, belt half-width, sill z, belt z, top half-width, top z), metres.
 # Where the top lies on the belt (a bonnet) the upper part of the section is nearly flat.
@@ -103,7 +105,7 @@ VEHICLES: tuple[str, ...] = tuple(_SECTIONS)
 """Names of the vehicles that ``vehicle_mesh`` can make."""
 
 
-def vehicle_mesh(kind: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def vehicle_mesh(kind: str) -> Mesh:
     """Triangle mesh of a generic vehicle in the object frame.
 
     Parameters
@@ -112,9 +114,8 @@ def vehicle_mesh(kind: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
     Returns
     -------
-    vertices : (V, 3) float64, metres; z up, front at +x, base centre at the origin.
-    faces : (F, 3) int64 vertex indices, counter-clockwise seen from outside; the mesh is closed.
-        Body and wheels are separate closed shells.
+    Mesh
+        Metres; z up, front at +x, base centre at the origin. Body and wheels are closed shells.
 
     Raises
     ------
@@ -123,57 +124,26 @@ def vehicle_mesh(kind: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """
     if kind not in _SECTIONS:
         raise ValueError(f"no vehicle named {kind!r}; there are {', '.join(VEHICLES)}")
-    rings = []
+    rings: list[F64] = []
     for x, belt_y, sill_z, belt_z, top_y, top_z in _SECTIONS[kind]:
         half = [(0.92 * belt_y, sill_z), (belt_y, 0.5 * (sill_z + belt_z)), (belt_y, belt_z)]
         half.append((top_y, top_z - 0.03 * min(1.0, top_y)))
-        right = [(x, -y, z) for y, z in half]
-        left = [(x, y, z) for y, z in reversed(half)]
-        rings.append([*right, (x, 0.0, top_z), *left])
-    vertices = np.array(rings, dtype=np.float64)
-    count, size = vertices.shape[:2]
-    here, ring = np.meshgrid(np.arange(count - 1), np.arange(size), indexing="ij")
-    a = (here * size + ring).ravel()
-    b = (here * size + (ring + 1) % size).ravel()
-    c, d = a + size, b + size
-    loft = np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)])
-    fan = np.arange(1, size - 1)
-    tail = np.stack([np.zeros_like(fan), fan, fan + 1], 1)
-    nose = (count - 1) * size + tail[:, ::-1]
-    faces = np.concatenate([loft, tail, nose])
-    points = vertices.reshape(-1, 3)
-    low, high = points.min(axis=0), points.max(axis=0)
-    points = points - [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, 0.0]
-    shells = [(points, faces)]
+        left = [(x, y, z) for y, z in half]
+        rings.append(np.array([*left, (x, 0.0, top_z), *((x, -y, z) for y, z in reversed(half))]))
+    corners = np.concatenate(rings)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    middle = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, 0.0]
     length, belt_y = high[0] - low[0], high[1]
-    for x in (-0.29 * length, 0.29 * length):
-        for y in (-belt_y + 0.03, belt_y - 0.25):
-            shells.append(_wheel(x, y))
-    return _join(shells)
+    wheels = [
+        placed(_wheel(), (x, y + _WHEEL_WIDTH_M / 2, 0.0))
+        for x in (-0.29 * length, 0.29 * length)
+        for y in (-belt_y + 0.03, belt_y - 0.25)
+    ]
+    return merged([lofted([ring - middle for ring in rings]), *wheels])
 
 
-def _wheel(x: float, y: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Closed 12-sided wheel that stands on z = 0 and reaches from ``y`` to ``y`` + its width."""
-    count = 12
-    angle = (np.arange(count) + 0.5) * (2 * np.pi / count)
-    radius = _WHEEL_RADIUS_M / np.cos(np.pi / count)
-    rim = np.stack([x + radius * np.cos(angle), np.zeros(count), radius * np.sin(angle)], 1)
-    rim[:, 2] += _WHEEL_RADIUS_M
-    near, far = rim + [0.0, y, 0.0], rim + [0.0, y + _WHEEL_WIDTH_M, 0.0]
-    i = np.arange(count)
-    j = (i + 1) % count
-    tread = np.concatenate([np.stack([i, j + count, j], 1), np.stack([i, i + count, j + count], 1)])
-    fan = np.arange(1, count - 1)
-    side = np.stack([np.zeros_like(fan), fan, fan + 1], 1)
-    return np.concatenate([near, far]), np.concatenate([tread, side, side[:, ::-1] + count])
-
-
-def _join(
-    shells: list[tuple[NDArray[np.float64], NDArray[np.int64]]],
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Several shells as one mesh."""
-    first = np.cumsum([0] + [len(vertices) for vertices, _ in shells[:-1]])
-    return (
-        np.concatenate([vertices for vertices, _ in shells]),
-        np.concatenate([faces + start for (_, faces), start in zip(shells, first, strict=True)]),
-    )
+def _wheel() -> Mesh:
+    """Closed 12-sided wheel that stands on one of its sides."""
+    angle = (np.arange(12) + 0.5) * (2 * np.pi / 12)
+    rim = _WHEEL_RADIUS_M / np.cos(np.pi / 12) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return extruded(rim + [0.0, _WHEEL_RADIUS_M], _WHEEL_WIDTH_M)

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spinpipe.stages.geometry.columns import key_and_height
 from spinpipe.stages.scan.gather import PAD
 
 POINTS_PER_CELL = 128
@@ -135,17 +136,8 @@ def sort_by_cell(
     cells = (span / side).astype(np.int64) + 1
     key = ((x - corner[0]) / side).astype(np.int64) * cells[1]
     key += ((y - corner[1]) / side).astype(np.int64)
-    # One sort of 64-bit numbers: the cell's rank above, the height below.
-    rank = key if cells.prod() < 2**31 else np.unique(key, return_inverse=True)[1]
-    order = np.argsort((rank.astype(np.uint64) << np.uint64(32)) | _ascending(z))
+    order = np.argsort(key_and_height(key, z))
     return order, key[order], corner, cells, side
-
-
-def _ascending(values: NDArray[np.float32]) -> NDArray[np.uint32]:
-    """Map finite float32 to integers in the same order: the bits, all flipped where negative."""
-    bits = values.view(np.uint32)
-    negative = np.negative(bits >> np.uint32(31))  # all ones or zero
-    return bits ^ (negative | np.uint32(2**31))
 
 
 def side_for(cloud: NDArray[np.float32], points: float) -> float:

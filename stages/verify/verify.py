@@ -22,7 +22,7 @@ from spinpipe.schemas import (
     UPRIGHT,
 )
 from spinpipe.schemas.records import Detection, FitTrace, InstancePoses
-from spinpipe.stages.geometry.frames import inverse, world_from_scene
+from spinpipe.stages.geometry.frames import heading_quaternion, inverse, world_from_scene
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.stage import Context, Progress, Section
 from spinpipe.stages.verify.by_evidence import verify_by_evidence
@@ -84,10 +84,8 @@ class Verify:
             ctx.write(DETECTIONS, detection)
         accepted = [d for d in detections if d.fate == "accepted"]
         positions = np.array([d.position_world for d in accepted]).reshape(-1, 3)
-        half = np.radians([d.heading_deg for d in accepted]) / 2.0
-        zero = np.zeros(len(half))
-        quaternions = np.stack([zero, zero, np.sin(half), np.cos(half)], axis=1)
-        ctx.write(INSTANCES, InstancePoses(positions, quaternions))
+        headings = heading_quaternion([d.heading_deg for d in accepted])
+        ctx.write(INSTANCES, InstancePoses(positions, headings))
         ctx.log(f"{len(accepted)} of {len(detections)} candidates accepted")
 
 

@@ -18,7 +18,7 @@ from spinpipe.pipeline.config import load_config
 from spinpipe.pipeline.evaluation.truth import TruthObject
 from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
 from spinpipe.schemas.records import Detection
-from spinpipe.stages.geometry.shapes import upright_pose
+from spinpipe.stages.geometry.frames import yaw_matrix
 from spinpipe.stages.ingest.open_scene import open_scene
 
 F64 = NDArray[np.float64]
@@ -77,7 +77,7 @@ class Park:
         """Turned about the vertical, then tilted about x."""
         cos, sin = math.cos(math.radians(tilt_deg)), math.sin(math.radians(tilt_deg))
         tilt = np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]])
-        R = tilt @ upright_pose((0, 0, 0), heading_deg)[:3, :3]
+        R = tilt @ yaw_matrix(heading_deg)[:3, :3]
         centre = self.xyz.mean(axis=0)
         base = np.array([[x, y, self._ground(x, y)] for x, y in self.labels[:, :2]])
         labels = self.labels.copy()

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, grey_closing
 
+from spinpipe.stages.geometry.frames import yaw_matrix
 from spinpipe.stages.geometry.seen_from_above import seen_from_above
 from spinpipe.stages.geometry.shapes import (
     Mesh,
@@ -18,7 +19,6 @@ from spinpipe.stages.geometry.shapes import (
     placed,
     sample_surface,
     surface_area,
-    upright_pose,
 )
 
 F64 = NDArray[np.float64]
@@ -151,7 +151,7 @@ def _facing(xyz: F64, normal: F64, mesh: Mesh, view: View) -> F64:
         level = np.array(
             [[math.cos(lean), 0, -math.sin(lean)], [0, 1, 0], [math.sin(lean), 0, math.cos(lean)]]
         )
-        R = level @ upright_pose((0, 0, 0), -azimuth)[:3, :3]
+        R = level @ yaw_matrix(-azimuth)[:3, :3]
         cosine = normal @ R[2]
         rows = np.flatnonzero(cosine > np.maximum(best, 0.05))
         seen = seen_from_above(xyz[rows] @ R.T, mesh.vertices @ R.T, mesh.faces)

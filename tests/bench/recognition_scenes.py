@@ -20,7 +20,8 @@ from recognition_sampling import Ground, Thing, View, points_of
 
 from spinpipe.pipeline.atomic import write_atomically
 from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
-from spinpipe.stages.geometry.shapes import Mesh, box, cylinder, ellipsoid, placed, upright_pose
+from spinpipe.stages.geometry.frames import yaw_matrix
+from spinpipe.stages.geometry.shapes import Mesh, box, cylinder, ellipsoid, placed
 
 F64 = NDArray[np.float64]
 Disc = tuple[float, float, float]
@@ -123,7 +124,7 @@ def make_scene(sought: Sought, condition: Condition, seed: int, folder: Path) ->
 def _tilt(rng: np.random.Generator) -> F64:
     """Rotation by ``TILT_DEG`` about a random horizontal axis."""
     azimuth, angle = rng.uniform(0, 360), math.radians(TILT_DEG)
-    turn = upright_pose((0, 0, 0), float(azimuth))[:3, :3]
+    turn = yaw_matrix(float(azimuth))[:3, :3]
     cos, sin = math.cos(angle), math.sin(angle)
     return turn @ np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]]) @ turn.T
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from spinpipe.stages.geometry import shapes
+from spinpipe.stages.geometry.frames import transform, yaw_matrix
 from spinpipe.stages.geometry.shapes import Mesh
 
 L_PROFILE = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]
@@ -83,11 +84,11 @@ def test_faces_without_area_are_never_drawn():
 def test_poses_turn_counter_clockwise_then_move():
     ahead = np.array([(1.0, 0.0, 0.5)])
     for heading_deg, expected in [(0, (1, 0)), (90, (0, 1)), (180, (-1, 0)), (-90, (0, -1))]:
-        T = shapes.upright_pose((10, 20, 30), heading_deg)
+        T = yaw_matrix(heading_deg, (10, 20, 30))
         np.testing.assert_array_equal(
             shapes.transform(T, ahead), [(10 + expected[0], 20 + expected[1], 30.5)]
         )
-    turned = shapes.transform(shapes.upright_pose((0, 0, 0), 30), ahead)
+    turned = transform(yaw_matrix(30), ahead)
     np.testing.assert_allclose(turned, [(math.cos(math.pi / 6), 0.5, 0.5)])
 
 

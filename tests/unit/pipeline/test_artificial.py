@@ -13,8 +13,9 @@ import pytest
 from numpy.typing import NDArray
 
 from spinpipe.pipeline.scenes.artificial import ArtificialScene, TruthRow, make_scene
+from spinpipe.stages.geometry.frames import transform, yaw_matrix
 from spinpipe.stages.geometry.model_surface import topmost_point
-from spinpipe.stages.geometry.shapes import Mesh, covered_from_above, transform, upright_pose
+from spinpipe.stages.geometry.shapes import Mesh, covered_from_above
 from spinpipe.stages.scan.image import SpinGrid, correlation, spin_image
 
 TENTED = 4
@@ -31,7 +32,7 @@ def digest(scene: ArtificialScene) -> str:
 def on_car(scene: ArtificialScene, row: TruthRow) -> NDArray[np.float64]:
     """Points of one car in its frame ``object``."""
     moved = scene.xyz[scene.labels == row.label] - np.array([row.x, row.y, row.z])
-    return transform(upright_pose((0, 0, 0), -row.heading_deg), moved)
+    return transform(yaw_matrix(-row.heading_deg), moved)
 
 
 @pytest.fixture(scope="module")
