@@ -20,6 +20,7 @@ from spinpipe.pipeline.drawing.model import model_bounds
 from spinpipe.pipeline.drawing.timelines import candidate_step
 from spinpipe.schemas import MODELS, SPIN_IMAGES
 from spinpipe.schemas.records import F32, F64, U8, Detection
+from spinpipe.stages.geometry.frames import heading_quaternion
 
 ROOT = "candidate"
 MOST = 400
@@ -86,13 +87,11 @@ def _boxes(
     rec: rr.RecordingStream, name: str, index: list[rr.TimeColumn], boxes: Sequence[_Box]
 ) -> None:
     size = np.array([box[0] for box in boxes], np.float64)
-    half = np.deg2rad([box[1] for box in boxes]) / 2
-    zero = np.zeros_like(half)
     hidden = ~size.any(axis=1)
     columns = rr.Boxes3D.columns(
         centers=size * (0, 0, 0.5),
         half_sizes=size / 2,
-        quaternions=np.stack([zero, zero, np.sin(half), np.cos(half)], axis=-1),
+        quaternions=heading_quaternion([box[1] for box in boxes]),
         colors=np.array([box[3][:3] for box in boxes], np.uint8),
         radii=np.where(hidden, 0.0, -1.2 if name == "box" else -0.8),
         fill_mode=[rr.components.FillMode.MajorWireframe] * len(boxes),

@@ -14,6 +14,7 @@ from spinpipe.pipeline.drawing.preview import preview_rows
 from spinpipe.pipeline.drawing.timelines import THRESHOLD_STEPS, threshold_step
 from spinpipe.schemas import CLUSTERS, HITS
 from spinpipe.schemas.records import F32, F64, U8, Detection
+from spinpipe.stages.geometry.frames import heading_quaternion
 
 ROOT = "threshold"
 FOUND, FALSE, MISSED = palette.ACCEPTED, palette.UNEXPLAINED, palette.HIT
@@ -86,13 +87,11 @@ def _detections(
     if not shown:
         return
     size = np.array([d.size_m for d in shown])
-    half = np.deg2rad([d.heading_deg for d in shown]) / 2
-    zero = np.zeros_like(half)
     which, counts = np.unique([threshold_step(d.score) for d in shown], return_counts=True)
     columns = rr.Boxes3D.columns(
         centers=np.array([d.position_world for d in shown]) + size * (0, 0, 0.5),
         half_sizes=size / 2,
-        quaternions=np.stack([zero, zero, np.sin(half), np.cos(half)], axis=-1),
+        quaternions=heading_quaternion([d.heading_deg for d in shown]),
         colors=np.array([_colour(d, truth) for d in shown], np.uint8),
     )
     index = [rr.TimeColumn("threshold", sequence=which)]

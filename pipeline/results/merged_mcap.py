@@ -25,12 +25,12 @@ from spinpipe.pipeline.drawing.candidates import SIGHT_COLOURS, WHAT_COLOURS
 from spinpipe.pipeline.drawing.closeup import Closeup, closeups
 from spinpipe.pipeline.drawing.preview import preview
 from spinpipe.pipeline.mcap_file import EPOCH_NS
-from spinpipe.pipeline.results.instances import ReadTopic, heading_quaternion
+from spinpipe.pipeline.results.instances import ReadTopic
 from spinpipe.schemas import CAMERAS, CLOUD, CLUSTERS, HITS, TILES, UPRIGHT
 from spinpipe.schemas.foxglove_codec import encode_cameras, point_cloud
 from spinpipe.schemas.records import F32, Detection
 from spinpipe.stages import STAGES
-from spinpipe.stages.geometry.frames import to_world
+from spinpipe.stages.geometry.frames import heading_quaternion, to_world
 
 SECOND_NS = 1_000_000_000
 STAGE_S, CANDIDATE_S = 10, 1
@@ -101,7 +101,7 @@ class _Story:
 
 def _tell_candidate(story: _Story, look: Closeup) -> None:
     d = look.detection
-    turn = heading_quaternion(d.heading_deg)
+    turn = heading_quaternion(d.heading_deg).tolist()
     story.tell("/tf", _transform("candidate", turn, d.position_world))
     what, sight = WHAT_COLOURS[look.what], SIGHT_COLOURS[look.sight]
     story.tell("/candidate/points", point_cloud("candidate", look.xyz, what))
