@@ -14,7 +14,7 @@ from pydantic import Field, ValidationError
 from pydantic.fields import FieldInfo
 
 from spinpipe.stages import STAGES
-from spinpipe.stages.ingest.ingest import ModelConfig
+from spinpipe.stages.ingest.object_model import ModelConfig
 from spinpipe.stages.stage import Section
 
 
@@ -46,12 +46,43 @@ class RecordSection(Section):
     )
 
 
-SECTIONS: dict[str, type[Section]] = {
+def own_keys(section: type[Section]) -> dict[str, FieldInfo]:
+    """The keys of a section without the sections below it."""
+    fields = section.model_fields.items()
+    return {key: field for key, field in fields if not _section_of(field)}
+
+
+def _section_of(field: FieldInfo) -> type[Section] | None:
+    kind = field.annotation
+    return kind if isinstance(kind, type) and issubclass(kind, Section) else None
+
+
+def _sections(name: str, section: type[Section]) -> dict[str, type[Section]]:
+    """A section and those below it, by the name in its brackets."""
+    found = {name: section}
+    for key, field in section.model_fields.items():
+        if below := _section_of(field):
+            found |= _sections(f"{name}.{key}", below)
+    return found
+
+
+_WHOLE: dict[str, type[Section]] = {
     "run": RunSection,
     **{stage.name: stage.Config for stage in STAGES},
     "execution": ExecutionSection,
     "record": RecordSection,
 }
+MODEL = "model"
+"""The one section of which there may be several: ``[[model]]``."""
+SECTIONS = {n: s for name, whole in _WHOLE.items() for n, s in _sections(name, whole).items()} | {
+    MODEL: ModelConfig
+}
+"""What a config file may hold, by the name that stands in brackets."""
+
+
+def brackets(name: str) -> str:
+    """How a section is headed in a config file."""
+    return f"[[{name}]]" if name == MODEL else f"[{name}]"
 
 
 @dataclass(frozen=True)
@@ -66,12 +97,10 @@ class RunConfig:
 
     def to_toml(self) -> str:
         """The config as a file that gives the same run from any folder."""
-        document = {"run": _plain(self.run)}
-        ingest = _plain(self.stages["ingest"])
-        models = ingest.pop("models")
-        document |= {"ingest": ingest, "model": models}
-        document |= {n: _plain(s) for n, s in self.stages.items() if n != "ingest"}
-        document |= {"execution": _plain(self.execution), "record": _plain(self.record)}
+        sections = {"run": self.run, **self.stages}
+        sections |= {"execution": self.execution, "record": self.record}
+        document = {name: _plain(section) for name, section in sections.items()}
+        document[MODEL] = document[MODEL]["models"]
         return tomli_w.dumps(document)
 
 
@@ -101,14 +130,13 @@ def load_config(path: Path, overrides: Iterable[str] = ()) -> RunConfig:
 
 def _require_sections(raw: dict[str, Any], path: Path) -> None:
     """The file holds known sections and a list of models; nothing is said of their keys."""
-    for name, value in raw.items():
-        if name not in _SECTION_NAMES:
-            raise ConfigError(f"{path.name}: no section [{name}]. {_nearest(name, _SECTION_NAMES)}")
-        if name != "model" and not isinstance(value, dict):
+    for name in raw:
+        if name not in SECTIONS:
+            raise ConfigError(f"{path.name}: no section [{name}]. {_nearest(name, SECTIONS)}")
+    for name in SECTIONS:
+        if name != MODEL and not isinstance(_at(raw, name), dict):
             raise ConfigError(f"{path.name}: [{name}] must be a section, not a value")
-    if "models" in raw.get("ingest", {}):
-        raise ConfigError(f"{path.name}: [ingest] has no key 'models'. Write [[model]] sections")
-    models = raw.get("model")
+    models = raw.get(MODEL)
     if models is None:
         raise ConfigError(f"{path.name}: no [[model]] section: say what to look for")
     if not isinstance(models, list) or not all(
@@ -120,15 +148,14 @@ def _require_sections(raw: dict[str, Any], path: Path) -> None:
 
 
 def _validate(raw: dict[str, Any], path: Path) -> RunConfig:
-    raw = dict(raw)
-    raw["ingest"] = {**raw.get("ingest", {}), "models": raw.pop("model")}
+    raw = raw | {MODEL: {"models": raw[MODEL]}}
     context = {"base": path.resolve().parent}
     sections: dict[str, Section] = {}
-    for name, section in SECTIONS.items():
+    for name, section in _WHOLE.items():
         try:
             sections[name] = section.model_validate(raw.get(name, {}), context=context)
         except ValidationError as error:
-            raise ConfigError(f"{path.name}: {_explain(error, name)}") from None
+            raise ConfigError(f"{path.name}: {_explain(error, name, raw)}") from None
     run = cast(RunSection, sections["run"])
     return RunConfig(
         run=run if run.name else run.model_copy(update={"name": path.stem}),
@@ -138,30 +165,27 @@ def _validate(raw: dict[str, Any], path: Path) -> RunConfig:
     )
 
 
-_SECTION_NAMES = (*SECTIONS, "model")
+def _at(raw: dict[str, Any], name: str) -> Any:
+    """What the file holds of a section; an empty one is put in where it holds none."""
+    for part in name.split("."):
+        raw = raw.setdefault(part, {})
+    return raw
 
 
 def _override(raw: dict[str, Any], override: str) -> None:
     key, equals, text = override.partition("=")
-    parts = key.strip().split(".")
-    section: type[Section] | None
-    target: Any
-    if parts[0] == "model" and len(parts) == 3:
-        section, field = ModelConfig, parts[2]
-        target = _model(raw, parts[1])
-    elif len(parts) == 2:
-        section, field = SECTIONS.get(parts[0]), parts[1]
-        target = raw.setdefault(parts[0], {})
-    else:
-        section, field, target = None, "", None
-    if section is None or not equals:
+    place, _, field = key.strip().rpartition(".")
+    of_model, _, model = place.partition(".")
+    name = MODEL if of_model == MODEL and model else place
+    if name not in SECTIONS or place == MODEL or not equals:
         raise ConfigError(
             f"--set {override}: write section.key=value (or model.NAME.key=value); "
             f"sections are {', '.join(SECTIONS)}"
         )
-    if field not in section.model_fields:
-        place = key.strip().rpartition(".")[0]
-        raise ConfigError(f"--set {override}: {_unknown_key(place, field, section)}")
+    section = SECTIONS[name]
+    target = _model(raw, model) if name == MODEL else _at(raw, name)
+    if field not in own_keys(section):
+        raise ConfigError(f"--set {override}: {_unknown_key(place, field, name)}")
     try:
         value = tomllib.loads(f"v = {text}")["v"]
     except tomllib.TOMLDecodeError:
@@ -172,7 +196,7 @@ def _override(raw: dict[str, Any], override: str) -> None:
 
 
 def _model(raw: dict[str, Any], name: str) -> dict[str, Any]:
-    models = raw.get("model", [])
+    models = raw[MODEL]
     for i, model in enumerate(models):
         if name in (str(i), model.get("name")):
             return model
@@ -184,21 +208,25 @@ def _is_path(field: FieldInfo) -> bool:
     return "Path" in str(field.annotation)
 
 
-def _explain(error: ValidationError, section: str) -> str:
+def _explain(error: ValidationError, section: str, raw: dict[str, Any]) -> str:
     """The first error in one line."""
     first = error.errors(include_url=False)[0]
     where = [str(part) for part in first["loc"]]
-    model: type[Section] = SECTIONS[section]
-    place = f"[{section}]"
-    if section == "ingest" and where[:1] == ["models"]:
-        model, place = ModelConfig, "[[model]]"
+    place = brackets(section)
+    if section == MODEL:
         if len(where) > 1:
-            place += f" number {int(where[1]) + 1}"
+            number = int(where[1])
+            name = raw[MODEL]["models"][number].get("name")
+            place += f" '{name}'" if name else f" number {number + 1}"
         where = where[2:]
+    while where and f"{section}.{where[0]}" in SECTIONS:
+        section = f"{section}.{where.pop(0)}"
+        place = brackets(section)
     key = where[0] if where else ""
     if first["type"] == "extra_forbidden":
-        return _unknown_key(place, key, model)
-    description = model.model_fields[key].description if key in model.model_fields else None
+        return _unknown_key(place, key, section)
+    fields = SECTIONS[section].model_fields
+    description = fields[key].description if key in fields else None
     help_text = f" ({description})" if description else ""
     if first["type"] == "missing":
         return f"{place} needs '{key}'{help_text}"
@@ -209,9 +237,11 @@ def _explain(error: ValidationError, section: str) -> str:
     return f"{place} {key} = {first['input']!r}: {message}{help_text}"
 
 
-def _unknown_key(place: str, key: str, section: type[Section]) -> str:
-    keys = [name for name in section.model_fields if name != "models"]
-    return f"{place} has no key '{key}'. {_nearest(key, keys)}"
+def _unknown_key(place: str, key: str, section: str) -> str:
+    for name, below in SECTIONS.items():  # where a key of the past may have moved to
+        if name.startswith(f"{section}.") and key in own_keys(below):
+            return f"{place} has no key '{key}' any more: it stands in [{name}]"
+    return f"{place} has no key '{key}'. {_nearest(key, own_keys(SECTIONS[section]))}"
 
 
 def _nearest(word: str, choices: Iterable[str]) -> str:

@@ -6,11 +6,10 @@ import textwrap
 from collections.abc import Iterator
 
 import tomli_w
-from pydantic.fields import FieldInfo
 
-from spinpipe.pipeline.config import SECTIONS
+from spinpipe.pipeline.config import MODEL, SECTIONS, brackets, own_keys
 from spinpipe.pipeline.tables import default_text
-from spinpipe.stages.ingest.ingest import ModelConfig
+from spinpipe.stages.stage import Section
 
 HEADER = """\
 # A run of spinpipe: spinpipe run {file}
@@ -22,21 +21,15 @@ def commented_config(file: str, scene: str, model: str) -> str:
     """A config for one scene and one model with all keys explained."""
     lines = [HEADER.format(file=file)]
     for name, section in SECTIONS.items():
-        lines += _section(f"[{name}]", section.__doc__, section.model_fields, {"scene": scene})
-        if name == "ingest":
-            given = {"name": _name(model), "path": model}
-            lines += _section("[[model]]", ModelConfig.__doc__, ModelConfig.model_fields, given)
+        given = {"name": _name(model), "path": model} if name == MODEL else {"scene": scene}
+        lines += _section(brackets(name), section, given)
     return "\n".join(lines) + "\n"
 
 
-def _section(
-    title: str, doc: str | None, fields: dict[str, FieldInfo], given: dict[str, str]
-) -> Iterator[str]:
-    yield f"# {(doc or '').strip().partition(chr(10))[0]}"
+def _section(title: str, section: type[Section], given: dict[str, str]) -> Iterator[str]:
+    yield f"# {(section.__doc__ or '').strip().partition(chr(10))[0]}"
     yield title
-    for key, field in fields.items():
-        if key == "models":
-            continue
+    for key, field in own_keys(section).items():
         yield from textwrap.wrap(
             field.description or "", 96, initial_indent="# ", subsequent_indent="# "
         )

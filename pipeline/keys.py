@@ -42,7 +42,7 @@ def stage_parts(
         If an input file is missing or cannot be read.
     """
     parts = {"version": f"{stage.name} {stage.version}"} | _code(stage) | {"seed": str(seed)}
-    for name, value in _flatten(section, stage.name):
+    for name, value in _flatten(section, f"[{stage.name}]"):
         parts[name] = hash_path(value, name) if isinstance(value, Path) else json.dumps(value)
     return parts | {f"stage {name}": key for name, key in inputs.items()}
 
@@ -90,20 +90,21 @@ def code_digest(*files: Path) -> str:
     digest = hashlib.sha256()
     for file in sorted(files):
         tree = ast.parse(file.read_bytes())
-        for node in ast.walk(tree):
-            if isinstance(body := getattr(node, "body", None), list):
-                node.body = [line for line in body if not _is_text(line)]  # pyright: ignore
+        _drop_docstrings(tree)
         digest.update(f"{file.name} {ast.dump(tree)}\n".encode())
     return digest.hexdigest()
 
 
-def _is_text(line: ast.stmt) -> bool:
-    """Whether a statement is a string and nothing else, as docstrings are."""
-    return (
-        isinstance(line, ast.Expr)
-        and isinstance(line.value, ast.Constant)
-        and isinstance(line.value.value, str)
-    )
+def _drop_docstrings(node: ast.AST) -> None:
+    """Take out the statements below a statement that are a string and nothing else."""
+    for name in ("body", "orelse", "finalbody", "handlers", "cases"):
+        if isinstance(lines := getattr(node, name, None), list):
+            for line in list(lines):
+                match line:
+                    case ast.Expr(value=ast.Constant(value=str())):
+                        lines.remove(line)
+                    case _:
+                        _drop_docstrings(line)
 
 
 def _code(stage: Stage) -> dict[str, str]:
@@ -112,19 +113,22 @@ def _code(stage: Stage) -> dict[str, str]:
     shared, messages = (Path(package.__path__[0]) for package in (stages, schemas))
     top = [file for file in shared.glob("*.py") if file.name != "__init__.py"]
     return {
-        f"code of {stage.name}": code_digest(*own.rglob("*.py")),
+        f"code of {own.name}": code_digest(*own.rglob("*.py")),
         "code of geometry": code_digest(*(shared / "geometry").rglob("*.py")),
         "code of stages": code_digest(*top),
         "code of schemas": code_digest(*messages.glob("*.py")),
     }
 
 
-def _flatten(value: Any, name: str) -> Iterator[tuple[str, Any]]:
-    if isinstance(value, BaseModel):
-        for field in type(value).model_fields:
-            yield from _flatten(getattr(value, field), f"{name}.{field}")
-    elif isinstance(value, tuple) and any(isinstance(v, BaseModel) for v in value):
-        for i, item in enumerate(value):
-            yield from _flatten(item, f"{name}.{i}")
-    else:
-        yield name, value
+def _flatten(section: BaseModel, place: str) -> Iterator[tuple[str, Any]]:
+    """Every key of a section, named as it stands in a config file: ``[scan] bin_m``."""
+    for key in type(section).model_fields:
+        value = getattr(section, key)
+        if isinstance(value, BaseModel):
+            yield from _flatten(value, f"{place[:-1]}.{key}]")
+        elif isinstance(value, tuple) and any(isinstance(item, BaseModel) for item in value):
+            yield f"[{place}] names", [item.name for item in value]
+            for item in value:
+                yield from _flatten(item, f"[{place}] '{item.name}'")
+        else:
+            yield f"{place} {key}", value

@@ -15,7 +15,7 @@ class RunFolder:
     path: Path
 
     def mcap(self, stage: str) -> Path:
-        """Complete output of a stage, for instance ``03_scan.mcap``."""
+        """Complete output of a stage, for instance ``04_scan.mcap``."""
         number = next(i for i, s in enumerate(STAGES, 1) if s.name == stage)
         return self.path / f"{number:02d}_{stage}.mcap"
 

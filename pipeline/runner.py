@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 
 from spinpipe.pipeline.atomic import commit
 from spinpipe.pipeline.config import RunConfig
@@ -83,7 +84,7 @@ class Runner:
 
     def _say(self, step: Step) -> None:
         action = {"run": "[bold]run  [/]", "reuse": "[dim]reuse[/]"}[step.action]
-        line = f"{action} {step.stage.name:<8} {step.reason}"
+        line = f"{action} {step.stage.name:<8} {escape(step.reason)}"
         self._console.print(line, highlight=False, soft_wrap=True)
 
     def _require_unchanged(self, step: Step) -> None:

@@ -11,11 +11,11 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from spinpipe.pipeline.config import SECTIONS
+from spinpipe.pipeline.config import SECTIONS, brackets, own_keys
 from spinpipe.pipeline.plan import Step
 from spinpipe.schemas.records import Detection
 from spinpipe.stages import STAGES
-from spinpipe.stages.ingest.ingest import ModelConfig
+from spinpipe.stages.stage import Section
 
 MAX_ROWS = 40
 
@@ -59,7 +59,7 @@ def plan_table(steps: Sequence[Step]) -> Table:
     for name in ("stage", "action", "why"):
         table.add_column(name)
     for step in steps:
-        table.add_row(step.stage.name, step.action, step.reason)
+        table.add_row(step.stage.name, step.action, Text(step.reason))
     return table
 
 
@@ -72,26 +72,24 @@ def stage_tables() -> Iterator[Group]:
         yield Group(
             Text(f"\n{stage.name}: {summary}", style="bold"),
             *(Text(line, style="dim") for line in flow),
-            _keys(stage.Config.model_fields),
         )
-        if stage.name == "ingest":
-            yield Group(Text("\n[[model]]", style="bold"), _keys(ModelConfig.model_fields))
+        yield from (_keys(n, s) for n, s in SECTIONS.items() if n.split(".")[0] == stage.name)
     for name in ("run", "execution", "record"):
-        summary = (SECTIONS[name].__doc__ or "").strip().partition("\n")[0]
-        yield Group(Text(f"\n[{name}] {summary}", style="bold"), _keys(SECTIONS[name].model_fields))
+        yield _keys(name, SECTIONS[name])
 
 
-def _keys(fields: dict[str, FieldInfo]) -> Table:
+def _keys(name: str, section: type[Section]) -> Group:
+    """The keys of one section below its heading."""
     table = Table(box=None, pad_edge=False, show_header=False)
     table.add_column(no_wrap=True)
     table.add_column(no_wrap=True)
     table.add_column()
-    for name, field in fields.items():
-        if name != "models":
-            # as text: rich would take [x, y, z] for markup
-            cells = (f"  {name}", default_text(field), field.description or "")
-            table.add_row(*(Text(cell) for cell in cells))
-    return table
+    for key, field in own_keys(section).items():
+        # as text: rich would take [x, y, z] for markup
+        cells = (f"  {key}", default_text(field), field.description or "")
+        table.add_row(*(Text(cell) for cell in cells))
+    summary = (section.__doc__ or "").strip().partition("\n")[0]
+    return Group(Text(f"{brackets(name)} {summary}"), table)
 
 
 def default_text(field: FieldInfo) -> str:

@@ -24,8 +24,9 @@ from spinpipe.schemas.topics import Topic
 CLOUD = Topic("/ingest/cloud", PointCloud, foxglove.encode_tile, foxglove.decode_tile)
 TILES = record_topic("/ingest/tiles", TileIndex, pb.TileIndex)
 SCENE = record_topic("/ingest/scene", SceneFrame, pb.SceneFrame)
-MODELS = record_topic("/ingest/models", ObjectModel, pb.ObjectModel)
 CAMERAS = Topic("/ingest/cameras", PosesInFrame, foxglove.encode_cameras, foxglove.decode_cameras)
+
+MODELS = record_topic("/model/objects", ObjectModel, pb.ObjectModel)
 
 PLANE = record_topic("/ground/plane", Plane, pb.Plane)
 UPRIGHT = Topic("/ground/upright", FrameTransform, foxglove.encode_upright, foxglove.decode_upright)

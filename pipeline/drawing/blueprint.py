@@ -137,7 +137,7 @@ def _candidate(models: Sequence[ObjectModel], near_radius: float) -> rrb.Vertica
                 query=rrb.archetypes.DataframeQuery(timeline="candidate"),
             ),
             rrb.Spatial3DView(
-                origin="/ingest/models",
+                origin="/model/objects",
                 name="Models",
                 background=palette.BACKGROUND,
                 eye_controls=object_eye(models, places_in_row(models)).controls(),

@@ -27,7 +27,7 @@ _LABELLED = 12
 _NOTED = 40
 
 
-def draw_cluster(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
+def draw(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
     """Log a pin for each candidate; along the timeline ``candidate`` one of them stands out."""
     clusters = sorted(read(CLUSTERS), key=lambda cluster: cluster.id)
     shown = clusters[:preview_points]

@@ -1,25 +1,18 @@
-"""The drawing of every stage, by the stage's name."""
+"""The drawing of every stage: the ``draw`` of the module that is called like it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 
 import rerun as rr
 
-from spinpipe.pipeline.drawing.cluster import draw_cluster
 from spinpipe.pipeline.drawing.drawing import Reader
-from spinpipe.pipeline.drawing.ground import draw_ground
-from spinpipe.pipeline.drawing.ingest import draw_ingest
-from spinpipe.pipeline.drawing.scan import draw_scan
-from spinpipe.pipeline.drawing.verify import draw_verify
+from spinpipe.stages import STAGES
 
 DrawFunction = Callable[[Reader, rr.RecordingStream, int], None]
 """``draw(read, recording, preview_points)``: at most ``preview_points`` points an entity group."""
 
 DRAW: dict[str, DrawFunction] = {
-    "ingest": draw_ingest,
-    "ground": draw_ground,
-    "scan": draw_scan,
-    "cluster": draw_cluster,
-    "verify": draw_verify,
+    stage.name: import_module(f"spinpipe.pipeline.drawing.{stage.name}").draw for stage in STAGES
 }

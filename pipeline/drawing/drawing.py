@@ -17,10 +17,11 @@ import rerun as rr
 
 from spinpipe.pipeline.drawing.timelines import candidate_step
 from spinpipe.schemas.topics import Topic
+from spinpipe.stages import STAGES
 
 T = TypeVar("T")
 
-STAGE_NUMBER = {"ingest": 1, "ground": 2, "scan": 3, "cluster": 4, "verify": 5}
+STAGE_NUMBER = {stage.name: number for number, stage in enumerate(STAGES, 1)}
 LOCAL, WORLD, CANDIDATE = "local", "world", "candidate"
 NOTES = "notes"
 """One text pane for all: it tells about the stage or the candidate under the time cursor."""

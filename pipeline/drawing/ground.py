@@ -19,7 +19,7 @@ _HEIGHT_SHARES = (2, 98)
 """Percentiles of the height that the colours span: a pole or a bird takes none of them."""
 
 
-def draw_ground(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
+def draw(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
     """Log the plane where it was found, its normal, and the transform that makes it level.
 
     Plane and cloud hang below the local frame, so both turn together: a plane that does not end

@@ -1,38 +1,28 @@
-"""Draw what ingest read: the cloud, the cameras and the models of the objects."""
+"""Draw what ingest read: the cloud and the cameras."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 import rerun as rr
 
 from spinpipe.pipeline.drawing import palette
 from spinpipe.pipeline.drawing.drawing import CANDIDATE, LOCAL, WORLD, Reader, at_stage, note, put
-from spinpipe.pipeline.drawing.model import (
-    model_bounds,
-    model_path,
-    model_points,
-    model_shape,
-    places_in_row,
-)
 from spinpipe.pipeline.drawing.preview import preview
-from spinpipe.schemas import CAMERAS, CLOUD, MODELS, SCENE, TILES
-from spinpipe.schemas.records import F32, Cameras, ObjectModel, SceneFrame, TileIndex
+from spinpipe.schemas import CAMERAS, CLOUD, SCENE, TILES
+from spinpipe.schemas.records import F32, Cameras, SceneFrame, TileIndex
 
 
-def draw_ingest(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
-    """Log the thinned cloud once for all times, still tilted, with cameras and models."""
+def draw(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
+    """Log the thinned cloud once for all times, still tilted, with the cameras."""
     scene, tiles = read(SCENE)[0], read(TILES)[0]
-    cameras, models = read(CAMERAS), read(MODELS)
+    cameras = read(CAMERAS)
     at_stage(rec, "ingest")
     for frame in (LOCAL, CANDIDATE):
         rec.log(f"frames/{frame}", rr.Transform3D(child_frame=frame, parent_frame=WORLD))
     _draw_cloud(read, rec, preview_points, scene, tiles)
-    _draw_models(rec, models)
     for shown in cameras:
         _draw_cameras(rec, shown, tiles)
-    note(rec, _summary(scene, tiles, models, sum(len(c.positions) for c in cameras)))
+    note(rec, _summary(scene, tiles, sum(len(c.positions) for c in cameras)))
 
 
 def _draw_cloud(
@@ -52,17 +42,6 @@ def _draw_cloud(
         put(rec, f"ingest/cloud/{piece.number:04d}", shape, LOCAL, static=True)
 
 
-def _draw_models(rec: rr.RecordingStream, models: Sequence[ObjectModel]) -> None:
-    """Models side by side along y; on each the points of the part that the sensor could see."""
-    for model, y in zip(models, places_in_row(models), strict=True):
-        path, (low, high) = model_path("ingest/models", model.name), model_bounds(model)
-        rec.log(path, rr.Transform3D(translation=[0, y, 0]), static=True)
-        rec.log(f"{path}/shape", model_shape(model, palette.PALE), static=True)
-        rec.log(f"{path}/points", model_points(model, palette.MARK), static=True)
-        label = rr.Points3D([[low[0], 0, high[2]]], labels=model.name, radii=-1.0)
-        rec.log(f"{path}/name", label, static=True)
-
-
 def _draw_cameras(rec: rr.RecordingStream, cameras: Cameras, tiles: TileIndex) -> None:
     size = 0.02 * float(np.linalg.norm(tiles.high.max(axis=0) - tiles.low.min(axis=0)))
     frusta = rr.LineStrips3D(_frusta(cameras, size), colors=palette.MARK, radii=-1.0)
@@ -80,9 +59,7 @@ def _frusta(cameras: Cameras, size: float) -> F32:
     return (turned + cameras.positions[:, None, :]).astype(np.float32)
 
 
-def _summary(
-    scene: SceneFrame, tiles: TileIndex, models: Sequence[ObjectModel], cameras: int
-) -> str:
+def _summary(scene: SceneFrame, tiles: TileIndex, cameras: int) -> str:
     extent = tiles.high.max(axis=0) - tiles.low.min(axis=0)
     origin = ", ".join(f"{value:.3f}" for value in scene.origin)
     scale = " x ".join(f"{value:g}" for value in dict.fromkeys(scene.scale))
@@ -102,14 +79,5 @@ def _summary(
         f"- origin ({origin}) in scene coordinates, {scale} m a unit"
         + (f", {scene.crs if len(scene.crs) < 20 else 'with WKT'}" if scene.crs else ""),
         f"- {cameras} cameras" if cameras else "- no cameras",
-        "",
-        "| model | length m | width m | height m | points | visible from |",
-        "|---|---|---|---|---|---|",
     ]
-    for model in models:
-        length, width, height = np.diff(model_bounds(model), axis=0)[0]
-        lines.append(
-            f"| {model.name} | {length:.2f} | {width:.2f} | {height:.2f} "
-            f"| {len(model.points):,} | {model.visible_from} |"
-        )
     return "\n".join(lines)

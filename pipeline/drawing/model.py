@@ -7,10 +7,43 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 
+from spinpipe.pipeline.drawing import palette
+from spinpipe.pipeline.drawing.drawing import Reader, at_stage, note
 from spinpipe.pipeline.drawing.palette import Colour
+from spinpipe.schemas import MODELS
 from spinpipe.schemas.records import F64, U8, ObjectModel
 
 _POINTS_SHOWN = 5000
+
+
+def draw(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:  # noqa: ARG001
+    """Models side by side along y; on each the points of the part that the sensor could see."""
+    models = read(MODELS)
+    at_stage(rec, "model")
+    for model, y in zip(models, places_in_row(models), strict=True):
+        path, (low, high) = model_path("model/objects", model.name), model_bounds(model)
+        rec.log(path, rr.Transform3D(translation=[0, y, 0]), static=True)
+        rec.log(f"{path}/shape", model_shape(model, palette.PALE), static=True)
+        rec.log(f"{path}/points", model_points(model, palette.MARK), static=True)
+        label = rr.Points3D([[low[0], 0, high[2]]], labels=model.name, radii=-1.0)
+        rec.log(f"{path}/name", label, static=True)
+    note(rec, _summary(models))
+
+
+def _summary(models: Sequence[ObjectModel]) -> str:
+    lines = [
+        "## Model: what is looked for",
+        "",
+        "| model | length m | width m | height m | points | visible from |",
+        "|---|---|---|---|---|---|",
+    ]
+    for model in models:
+        length, width, height = np.diff(model_bounds(model), axis=0)[0]
+        lines.append(
+            f"| {model.name} | {length:.2f} | {width:.2f} | {height:.2f} "
+            f"| {len(model.points):,} | {model.visible_from} |"
+        )
+    return "\n".join(lines)
 
 
 def model_shape(model: ObjectModel, color: Colour | None = None) -> rr.Mesh3D | rr.Points3D:

@@ -82,13 +82,13 @@ def record_stage(
     """Draw the messages of a finished stage; the layout follows as soon as bounds are known."""
     from spinpipe.pipeline.drawing.blueprint import build_blueprint
     from spinpipe.pipeline.drawing.draw import DRAW
-    from spinpipe.pipeline.drawing.verify import draw_verify
+    from spinpipe.pipeline.drawing.verify import draw as draw_verify
 
     if stage == "verify" and truth is not None:
         draw_verify(read, rec, preview_points, truth)
     else:
         DRAW[stage](read, rec, preview_points)
-    if stage in ("ingest", "ground"):  # the second time for the upright cloud
+    if stage in ("ingest", "model", "ground"):  # for the cloud, the views of models, the upright
         rec.send_blueprint(build_blueprint(read, preview_points))
 
 

@@ -20,7 +20,7 @@ _TILES_WORTH_IT = 4
 _BINS = np.linspace(-1, 1, 101)
 
 
-def draw_scan(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
+def draw(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
     """Log correlations tile by tile, and the best spin image of each model beside the model's."""
     scores = read(SCORES)
     # two passes over the file keep one tile in memory at a time

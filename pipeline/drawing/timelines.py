@@ -1,6 +1,6 @@
 """The timelines of a recording: none of them is time.
 
-- ``stage``: 1 ingest ... 5 verify; what the run knew after that stage,
+- ``stage``: 1 ingest ... 6 verify; what the run knew after that stage,
 - ``candidate``: one candidate after the other. Candidate 42 is step 42 000: its verdict, what is
   around it, why; 42 001 and on are the steps of its registration,
 - ``threshold``: from 0 to 100, falling from a perfect match: at step s everything is there that

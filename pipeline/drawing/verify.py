@@ -33,7 +33,7 @@ _LEDGER = (
 """Columns of the table of all candidates: fields of a detection."""
 
 
-def draw_verify(
+def draw(
     read: Reader, rec: rr.RecordingStream, preview_points: int, truth: Truth | None = None
 ) -> None:
     """Log all fates at once, then candidate by candidate, then by threshold."""

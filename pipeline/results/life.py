@@ -114,18 +114,14 @@ NEARLY = 0.5
 
 
 def limit_tests(d: Detection, section: Section) -> list[Test]:
-    """Every ``min_x`` and ``max_x`` of the section beside the detection's number of that name."""
-    method = str(getattr(section, "method", ""))
+    """Every ``min_x`` and ``max_x`` of the method in ``[verify]`` beside the detection's number."""
+    below = "evidence" if getattr(section, "method", "") == "evidence" else "icp"
+    limits: Section = getattr(section, below)
     tests: list[Test] = []
-    for key, field in type(section).model_fields.items():
+    for key in type(limits).model_fields:
         kind, _, name = key.partition("_")
-        limit: Any = getattr(section, key)
+        limit: Any = getattr(limits, key)
         if kind not in ("min", "max") or not isinstance(limit, int | float):
-            continue
-        meant_for = (field.description or "").partition(":")[0]
-        if (meant_for == "evidence" and method != "evidence") or (
-            meant_for == "ICP" and method == "evidence"
-        ):
             continue
         names = [f.name for f in dataclasses.fields(d)]
         matching = [n for n in names if n == name] or [n for n in names if n.endswith(f"_{name}")]
@@ -138,9 +134,8 @@ def limit_tests(d: Detection, section: Section) -> list[Test]:
                 passed = None  # does not apply to it, or was decided before
             sign = "at least" if kind == "min" else "at most"
             words = match.replace("_", " ")
-            tests.append(
-                Test("verify", words, f"{value:.3f}", f"{sign} {limit:g} (verify.{key})", passed)
-            )
+            told = f"{sign} {limit:g} (verify.{below}.{key})"
+            tests.append(Test("verify", words, f"{value:.3f}", told, passed))
     return tests
 
 

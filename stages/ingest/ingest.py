@@ -1,28 +1,26 @@
-"""Ingest: a cloud of any size becomes tiles in the local frame, with its cameras and the models."""
+"""Ingest: a cloud of any size becomes tiles in the local frame, with its cameras."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 
-from spinpipe.schemas import CAMERAS, CLOUD, MODELS, SCENE, TILES
+from spinpipe.schemas import CAMERAS, CLOUD, SCENE, TILES
 from spinpipe.schemas.records import (
     F32,
     F64,
     CloudTile,
-    ObjectModel,
     SceneFrame,
     TileIndex,
 )
-from spinpipe.stages.ingest.object_model import ModelConfig, load_model
 from spinpipe.stages.ingest.open_scene import open_scene
 from spinpipe.stages.ingest.scatter_file import ScatterFile
 from spinpipe.stages.ingest.scene_source import SceneSource
 from spinpipe.stages.ingest.survey import Survey, finite, left_out, survey, within
 from spinpipe.stages.ingest.tiling import POINT, kd_split, tiles_of
-from spinpipe.stages.stage import Context, InputPath, Section, StageError
+from spinpipe.stages.stage import Context, InputPath, Section
 
 _BYTES_A_POINT = 1000
 """Generous upper bound of the memory that one point of a chunk takes on its way."""
@@ -35,10 +33,10 @@ class Ingest:
     name = "ingest"
     version = 3
     inputs = ()
-    outputs = (CLOUD, TILES, SCENE, MODELS, CAMERAS)
+    outputs = (CLOUD, TILES, SCENE, CAMERAS)
 
     class Config(Section):
-        """``[ingest]``, and the ``[[model]]`` sections."""
+        """Which scene, and how it is cut into tiles."""
 
         scene: InputPath = Field(
             description="cloud or mesh in any common format, or folder of a COLMAP model"
@@ -47,21 +45,10 @@ class Ingest:
         tile_points: int = Field(
             default=262_144, ge=1024, le=1_048_576, description="most points of a tile"
         )
-        models: tuple[ModelConfig, ...] = Field(min_length=1, description="objects to look for")
-
-        @field_validator("models")
-        @classmethod
-        def _unique(cls, models: tuple[ModelConfig, ...]) -> tuple[ModelConfig, ...]:
-            names = [model.name for model in models]
-            twice = next((name for name in names if names.count(name) > 1), None)
-            if twice is not None:
-                raise ValueError(f"two models have the name '{twice}'; rename one")
-            return models
 
     def run(self, ctx: Context[Config]) -> None:
-        """Write the cloud's tiles, then their index, the scene's frame, the models, the cameras."""
+        """Write the cloud's tiles, then their index, the scene's frame, the cameras."""
         config = ctx.config
-        models = [load_model(model, ctx.rng, ctx.log) for model in config.models]
         source = open_scene(config.scene)
         progress = ctx.progress("points read", source.points)
         found = survey(source, str(config.scene), _chunk_points(ctx.memory_bytes), progress)
@@ -80,7 +67,6 @@ class Ingest:
             up=source.about.up or (),
             up_reason=source.about.up_reason,
         )
-        _require_room(models, found, config.scale)
         index = _write_tiles(source, frame, found, ctx)
         points = int(index.counts.sum())
         if points < frame.points:
@@ -88,8 +74,6 @@ class Ingest:
         frame = replace(frame, points=points, duplicates=frame.points - points)
         ctx.write(TILES, index)
         ctx.write(SCENE, frame)
-        for model in models:
-            ctx.write(MODELS, model)
         cameras = source.about.cameras
         if cameras is not None:
             local = (cameras.positions - np.array(frame.origin)) * np.array(frame.scale)
@@ -137,16 +121,3 @@ def _local(xyz: F64, frame: SceneFrame) -> F32:
     """Scene -> local frame; adding 0 turns -0.0 into 0.0, so that equal points are equal bits."""
     local = (xyz - np.array(frame.origin)) * np.array(frame.scale)
     return local.astype(np.float32) + np.float32(0)
-
-
-def _require_room(models: list[ObjectModel], found: Survey, scale: float) -> None:
-    """Refuse a model that is wider than the whole scene: one of the scales must be wrong."""
-    scene_m = float((found.high - found.low).max()) * scale
-    for model in models:
-        surface = model.vertices if len(model.vertices) else model.points
-        model_m = float(np.ptp(surface[:, :2], axis=0).max())
-        if model_m > scene_m:
-            raise StageError(
-                f"model '{model.name}' is {model_m:.3g} m wide, the whole scene {scene_m:.3g} m; "
-                f"correct ingest.scale (now {scale:g}) or the scale of that [[model]]"
-            )

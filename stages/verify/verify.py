@@ -31,6 +31,31 @@ from spinpipe.stages.verify.decide.verdict import Rules
 from spinpipe.stages.verify.icp.verification import IcpRules, verify_by_residual
 
 
+class Evidence(Section):
+    """Of ``method = "evidence"``: which fits are accepted."""
+
+    min_score: float = Field(default=0.5, ge=0, le=1, description="below it: rejected")
+    min_observed: float = Field(
+        default=0.1, ge=0, le=1, description="least share of the visible surface observed"
+    )
+    min_margin: float = Field(
+        default=0.01,
+        ge=0,
+        le=1,
+        description="least lead in score over another heading or type; below it: ambiguous",
+    )
+
+
+class Icp(Section):
+    """Of ``method = "trimmed"`` and ``"kiss-icp"``: the paper's registration."""
+
+    starts: int = Field(default=12, ge=1, le=360, description="headings to start from")
+    iterations: int = Field(default=15, ge=1, le=1000, description="of each start")
+    keep: float = Field(default=0.8, gt=0, le=1, description="share of the pairs that count")
+    samples: int = Field(default=500, ge=10, le=1_000_000, description="points of the model")
+    max_rms_m: float = Field(default=0.115, gt=0, le=100, description="above it: rejected")
+
+
 class Verify:
     """Fit the model to each candidate's surroundings and decide."""
 
@@ -48,22 +73,8 @@ class Verify:
             "for and against it; trimmed: the paper's ICP, judged by its residual; kiss-icp: the "
             "same with KISS-ICP's registration",
         )
-        min_score: float = Field(0.5, ge=0, le=1, description="evidence: below it: rejected")
-        min_observed: float = Field(
-            0.1, ge=0, le=1, description="evidence: least share of the visible surface observed"
-        )
-        min_margin: float = Field(
-            0.01,
-            ge=0,
-            le=1,
-            description="evidence: least lead in score over another heading or type; below it: "
-            "ambiguous",
-        )
-        starts: int = Field(12, ge=1, le=360, description="ICP: headings to start from")
-        iterations: int = Field(15, ge=1, le=1000, description="ICP: of each start")
-        keep: float = Field(0.8, gt=0, le=1, description="ICP: share of the pairs that count")
-        samples: int = Field(500, ge=10, le=1_000_000, description="ICP: points of the model")
-        max_rms_m: float = Field(0.115, gt=0, le=100, description="ICP: above it: rejected")
+        evidence: Evidence = Field(default_factory=Evidence)
+        icp: Icp = Field(default_factory=Icp)
 
     def run(self, ctx: Context[Config]) -> None:
         """Fit every candidate, then write traces, detections and the poses of the accepted."""
@@ -97,21 +108,14 @@ def _verified(
         yield from verify_by_evidence(
             candidates,
             ctx.read_one(SAMPLING),
-            Rules(config.min_score, config.min_observed, config.min_margin),
+            Rules(**config.evidence.model_dump()),
             ctx.rng,
             threads=ctx.threads,
             map_blocks=ctx.map,
             advance=progress.advance,
         )
         return
-    rules = IcpRules(
-        method=config.method,
-        starts=config.starts,
-        iterations=config.iterations,
-        keep=config.keep,
-        samples=config.samples,
-        max_rms_m=config.max_rms_m,
-    )
+    rules = IcpRules(method=config.method, **config.icp.model_dump())
     images = list(ctx.read(SPIN_IMAGES))
     for result in verify_by_residual(candidates, images, rules, ctx.rng, ctx.threads):
         yield result

@@ -23,6 +23,7 @@ import numpy as np
 
 from spinpipe.pipeline.demo import write_example
 from spinpipe.pipeline.scenes.artificial import EXTENT_M, make_scene
+from spinpipe.stages import STAGES
 
 POINTS_PER_BLOCK = 2_000_000
 NOISE_M = 0.03
@@ -81,7 +82,7 @@ def main() -> None:
     parser.add_argument("--memory-gb", type=float, default=4.0)
     parser.add_argument("--folder", type=Path, help="keep the files here")
     options = parser.parse_args()
-    stages = ("ingest", "ground", "scan", "cluster", "verify")
+    stages = tuple(stage.name for stage in STAGES)
     print("| points | threads | " + " | ".join(stages) + " | whole run | us/point | peak | found |")
     print("|" + " ---: |" * (len(stages) + 6))
     with tempfile.TemporaryDirectory() as temporary:

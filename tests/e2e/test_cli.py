@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from spinpipe.pipeline.config import SECTIONS, own_keys
 from spinpipe.pipeline.demo import write_example
 from spinpipe.stages import STAGES
 
@@ -149,10 +150,10 @@ def test_init_overwrites_nothing(cli: Cli, tmp_path: Path) -> None:
 
 def test_plan_says_what_would_run_and_does_nothing(cli: Cli, yard_run: YardRun) -> None:
     before = sorted(yard_run.output.iterdir())
-    outcome = cli("plan", yard_run.config, "-o", yard_run.output, "--set", "verify.samples=300")
-    lines = dict(line.split(maxsplit=1) for line in outcome.out.splitlines()[1:6])
-    assert [text.split()[0] for text in lines.values()] == ["reuse"] * 4 + ["run"]
-    assert "verify.samples changed" in lines["verify"]
+    outcome = cli("plan", yard_run.config, "-o", yard_run.output, "--set", "verify.icp.samples=300")
+    lines = dict(line.split(maxsplit=1) for line in outcome.out.splitlines()[1:7])
+    assert [text.split()[0] for text in lines.values()] == ["reuse"] * 5 + ["run"]
+    assert "[verify.icp] samples changed" in lines["verify"]
     assert sorted(yard_run.output.iterdir()) == before
 
 
@@ -167,9 +168,9 @@ def test_stages_explains_every_stage_and_key(cli: Cli) -> None:
     assert outcome.code == 0
     for stage in STAGES:
         assert f"\n{stage.name}: " in outcome.out
-        for key in stage.Config.model_fields:
-            if key != "models":
-                assert re.search(rf"^  {key} ", outcome.out, re.MULTILINE), key
+    for section in SECTIONS.values():
+        for key in own_keys(section):
+            assert re.search(rf"^  {key} ", outcome.out, re.MULTILINE), key
 
 
 def test_stages_prints_brackets_as_they_are(cli: Cli) -> None:
@@ -226,17 +227,17 @@ def assert_one_line(outcome: Outcome, code: int, *said: str) -> None:
         assert text in outcome.err
 
 
-def assert_nothing_half_written(folder: Path) -> None:
+def assert_nothing_half_written(folder: Path, complete: str = "") -> None:
     for path in folder.rglob("*"):
-        assert path.suffix not in (".partial", ".interrupted", ".mcap"), path
+        assert path.suffix not in (".partial", ".interrupted", ".mcap") or path.name == complete
         assert not path.name.startswith(("detections", ".scratch")), path
 
 
-def fail(cli: Cli, folder: Path, code: int, *said: str) -> None:
-    """Run the folder's config; it must fail as a user may expect."""
+def fail(cli: Cli, folder: Path, code: int, *said: str, complete: str = "") -> None:
+    """Run the folder's config; it must fail as a user may expect and leave what is complete."""
     outcome = cli("run", "config.toml", "--rerun", "save", cwd=folder)
     assert_one_line(outcome, code, *said)
-    assert_nothing_half_written(folder)
+    assert_nothing_half_written(folder, complete)
 
 
 def edit(path: Path, old: str, new: str) -> None:
@@ -248,7 +249,7 @@ def edit(path: Path, old: str, new: str) -> None:
 def test_a_missing_scene(cli: Cli, yard: Yard, tmp_path: Path) -> None:
     yard.write(tmp_path)
     (tmp_path / "scene.ply").unlink()
-    fail(cli, tmp_path, 1, "scene.ply", "ingest.scene")
+    fail(cli, tmp_path, 1, "scene.ply", "[ingest] scene")
     assert not (tmp_path / "recordings").exists()
 
 
@@ -301,7 +302,7 @@ def test_a_model_of_nan(cli: Cli, yard: Yard, tmp_path: Path) -> None:
     yard.write(tmp_path)
     yard.write(tmp_path / "other", np.full((100, 3), np.nan))
     (tmp_path / "other" / "scene.ply").rename(tmp_path / "saloon.ply")
-    fail(cli, tmp_path, 1, "saloon", "finite")
+    fail(cli, tmp_path, 1, "saloon", "finite", complete="01_ingest.mcap")
 
 
 def test_a_colmap_folder_without_points(cli: Cli, yard: Yard, tmp_path: Path) -> None:
@@ -336,7 +337,7 @@ def test_a_negative_radius(cli: Cli, yard: Yard, tmp_path: Path) -> None:
 
 def test_a_model_larger_than_the_scene(cli: Cli, yard: Yard, tmp_path: Path) -> None:
     yard.write(tmp_path, yard.xyz / 1000)
-    fail(cli, tmp_path, 1, "model 'saloon'", "ingest.scale")
+    fail(cli, tmp_path, 1, "model 'saloon'", "ingest.scale", complete="01_ingest.mcap")
 
 
 def test_broken_toml(cli: Cli, yard: Yard, tmp_path: Path) -> None:

@@ -102,9 +102,9 @@ def test_threads_and_memory_change_no_byte(
 
 
 def test_only_verify_runs_when_only_verify_changes(cli: Cli, yard_run: YardRun) -> None:
-    outcome = go_on(cli, yard_run, "--set", "verify.samples=400")
+    outcome = go_on(cli, yard_run, "--set", "verify.icp.samples=400")
     assert ran(outcome) == ["verify"]
-    assert "verify.samples changed" in outcome.out
+    assert "[verify.icp] samples changed" in outcome.out
 
 
 def test_a_changed_input_runs_everything_and_a_touched_one_nothing(
@@ -118,7 +118,7 @@ def test_a_changed_input_runs_everything_and_a_touched_one_nothing(
     scene.write_bytes(data)
     outcome = go_on(cli, yard_run)
     assert ran(outcome) == NAMES
-    assert "ingest.scene changed" in outcome.out
+    assert "[ingest] scene changed" in outcome.out
 
 
 def test_going_back_to_an_old_setting_runs_again_and_ends_the_same(
@@ -134,7 +134,7 @@ def test_until_stops_and_the_next_run_goes_on(
 ) -> None:
     shutil.rmtree(yard_run.output)
     outcome = go_on(cli, yard_run, "--until", "ground")
-    assert ran(outcome) == ["ingest", "ground"]
+    assert ran(outcome) == ["ingest", "model", "ground"]
     assert "stopped after ground" in outcome.out
     assert not (yard_run.output / "detections.json").exists()
     assert ran(go_on(cli, yard_run)) == ["scan", "cluster", "verify"]
@@ -164,7 +164,7 @@ def test_a_file_that_another_run_replaced_is_not_reused(
     with mock.patch.object(commands, "locked", late):
         outcome = go_on(cli, yard_run, "--from", "verify")
     assert outcome.code == 1
-    assert "03_scan.mcap: was changed meanwhile" in outcome.err
+    assert "04_scan.mcap: was changed meanwhile" in outcome.err
     go_on(cli, yard_run)
     assert_same_results(yard_run, finished_yard)
 
@@ -261,7 +261,7 @@ def test_files_that_do_not_follow_from_each_other_are_not_evaluated(
     truth.write_text("x,y\n-3.1,-2.6\n")
     outcome = cli("eval", yard_run.output, "--truth", truth)
     assert outcome.code == 1
-    assert "05_verify.mcap was not made from 04_cluster.mcap" in outcome.err
+    assert "06_verify.mcap was not made from 05_cluster.mcap" in outcome.err
 
 
 def test_garbage_in_place_of_a_file_is_replaced(
@@ -291,7 +291,7 @@ def test_left_overs_of_any_content_do_no_harm(
 def assert_same_results_of_the_stages_that_ran(run: YardRun, reference: YardRun) -> None:
     for stage in NAMES:
         assert content(run.mcap(stage)) == content(reference.mcap(stage)), stage
-    assert not [n for n in left_overs(run.output) if n.startswith(("02", "03", "04", "05", ".s"))]
+    assert not [n for n in left_overs(run.output) if n.startswith(("03", "04", "05", "06", ".s"))]
 
 
 class Killed(BaseException):
@@ -461,7 +461,7 @@ def test_ctrl_c_ends_quietly_and_the_next_run_goes_on(
     for stage in NAMES[1:]:
         yard_run.mcap(stage).unlink()
     process = start(yard_run)
-    wait_for(yard_run, "02_ground.mcap.partial", process)
+    wait_for(yard_run, "03_ground.mcap.partial", process)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130

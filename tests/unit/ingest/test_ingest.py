@@ -21,18 +21,16 @@ from spinpipe.pipeline.engine import LocalEngine
 from spinpipe.pipeline.mcap_file import StageFileWriter
 from spinpipe.pipeline.progress import stage_progress
 from spinpipe.pipeline.run_folder import RunFolder
-from spinpipe.schemas import CAMERAS, CLOUD, MODELS, SCENE, TILES
-from spinpipe.stages.geometry.shapes import box
+from spinpipe.schemas import CAMERAS, CLOUD, SCENE, TILES
 from spinpipe.stages.ingest.ingest import Ingest
 from spinpipe.stages.stage import StageError
 
 
 def ingest(
-    folder: Path, scene: Path, model: Path, memory_bytes: int = 1 << 30, **options: Any
+    folder: Path, scene: Path, memory_bytes: int = 1 << 30, **options: Any
 ) -> tuple[RunReader, list[str]]:
     """Run the stage; a reader of what it wrote, and its notes."""
-    models = [{"name": "thing", "path": model, "samples": 500}]
-    config = Ingest.Config.model_validate({"scene": scene, "models": models, **options})
+    config = Ingest.Config.model_validate({"scene": scene, **options})
     folder.mkdir(parents=True, exist_ok=True)
     run_folder = RunFolder(folder)
     writer = StageFileWriter(run_folder.mcap("ingest"), {})
@@ -69,29 +67,18 @@ def write_scene(path: Path, xyz: Any, rgb: Any = None, **options: Any) -> Path:
     return path
 
 
-@pytest.fixture(scope="session")
-def brick(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A model of 4 x 2 x 1 m."""
-    path = tmp_path_factory.mktemp("model") / "brick.obj"
-    vertices, faces = box(4, 2, 1)
-    lines = [f"v {x} {y} {z}" for x, y, z in vertices]
-    lines += [f"f {a} {b} {c}" for a, b, c in faces + 1]
-    path.write_text("\n".join(lines))
-    return path
-
-
 def georeferenced(count: int, seed: int = 0) -> tuple[Any, Any]:
     rng = np.random.default_rng(seed)
     xyz = rng.uniform(0, (60, 40, 3), (count, 3)) + (576_715.25, 5_188_162.75, 160)
     return xyz, rng.integers(0, 256, (count, 3)).astype(np.uint8)
 
 
-def test_tiles_frame_index_and_models(tmp_path: Path, brick: Path) -> None:
+def test_tiles_frame_and_index(tmp_path: Path) -> None:
     xyz, rgb = georeferenced(5000)
     scene = write_scene(tmp_path / "scene.ply", xyz, rgb)
-    read, notes = ingest(tmp_path / "run", scene, brick, tile_points=1024, scale=0.5)
+    read, notes = ingest(tmp_path / "run", scene, tile_points=1024, scale=0.5)
     assert notes == []
-    (frame,), (index,), (model,) = read(SCENE), read(TILES), read(MODELS)
+    (frame,), (index,) = read(SCENE), read(TILES)
     tiles = list(read(CLOUD))
     assert (frame.points, frame.dropped, frame.coloured) == (5000, 0, True)
     assert (frame.scale, frame.source) == ((0.5, 0.5, 0.5), "scene.ply")
@@ -112,12 +99,10 @@ def test_tiles_frame_index_and_models(tmp_path: Path, brick: Path) -> None:
     agree = (colours[order] == rgb[expected]).all(axis=1).mean()
     assert agree > 0.95  # rounding may swap points that differ in one coordinate by a hair
 
-    assert model.name == "thing"
-    assert model.points.shape == (500, 3)
     assert len(read(CAMERAS)) == 0
 
 
-def test_order_encoding_and_memory_do_not_matter(tmp_path: Path, brick: Path) -> None:
+def test_order_encoding_and_memory_do_not_matter(tmp_path: Path) -> None:
     xyz, rgb = georeferenced(6000)
     shuffled = np.random.default_rng(1).permutation(6000)
     variants: list[tuple[Any, int, dict[str, Any]]] = [
@@ -128,16 +113,16 @@ def test_order_encoding_and_memory_do_not_matter(tmp_path: Path, brick: Path) ->
     written: list[list[bytes]] = []
     for i, (order, memory, options) in enumerate(variants):
         scene = write_scene(tmp_path / f"{i}.ply", xyz[order], rgb[order], **options)
-        read, _ = ingest(tmp_path / f"run{i}", scene, brick, memory, tile_points=1024)
+        read, _ = ingest(tmp_path / f"run{i}", scene, memory, tile_points=1024)
         written.append([t.xyz.tobytes() + t.rgb.tobytes() for t in read(CLOUD)])
     assert written[0] == written[1]
     assert sum(map(len, written[2])) == sum(map(len, written[0]))
 
 
-def test_points_without_finite_coordinates_are_left_out(tmp_path: Path, brick: Path) -> None:
+def test_points_without_finite_coordinates_are_left_out(tmp_path: Path) -> None:
     xyz, _ = georeferenced(500)
     xyz[3, 0], xyz[40, 1], xyz[499, 2], xyz[7] = np.nan, np.inf, -np.inf, 1e300
-    read, notes = ingest(tmp_path / "run", write_scene(tmp_path / "scene.ply", xyz), brick)
+    read, notes = ingest(tmp_path / "run", write_scene(tmp_path / "scene.ply", xyz))
     (frame,) = read(SCENE)
     assert (frame.points, frame.dropped, frame.coloured) == (496, 4, False)
     assert notes == ["left out 4 points whose coordinates are not finite"]
@@ -146,20 +131,20 @@ def test_points_without_finite_coordinates_are_left_out(tmp_path: Path, brick: P
     assert (tile.rgb == 255).all()
 
 
-def test_far_outliers_cost_no_precision(tmp_path: Path, brick: Path) -> None:
+def test_far_outliers_cost_no_precision(tmp_path: Path) -> None:
     xyz, _ = georeferenced(5000)
     xyz[:50] *= -1000
     scene = write_scene(tmp_path / "scene.ply", xyz)
-    read, _ = ingest(tmp_path / "run", scene, brick, tile_points=1024)
+    read, _ = ingest(tmp_path / "run", scene, tile_points=1024)
     (frame,) = read(SCENE)
     assert np.abs(np.array(frame.origin) - xyz[50:].mean(axis=0)).max() < 5
 
 
-def test_duplicates_and_single_points(tmp_path: Path, brick: Path) -> None:
+def test_duplicates_and_single_points(tmp_path: Path) -> None:
     xyz = np.full((3000, 3), 7.25)
     xyz[0] = 0
     scene = write_scene(tmp_path / "scene.ply", xyz)
-    read, _ = ingest(tmp_path / "run", scene, brick, tile_points=1024)
+    read, _ = ingest(tmp_path / "run", scene, tile_points=1024)
     assert sum(read(TILES)[0].counts) == 2
     (frame,) = read(SCENE)
     assert (frame.points, frame.duplicates) == (2, 2998)
@@ -170,35 +155,29 @@ def test_duplicates_and_single_points(tmp_path: Path, brick: Path) -> None:
     [
         (np.empty((0, 3)), "the cloud is empty"),
         (np.full((10, 3), np.nan), "none of its 10 points has finite coordinates"),
-        (np.eye(3), r"'thing' is 4 m wide, the whole scene 1 m; correct ingest\.scale"),
     ],
 )
-def test_bad_scenes(tmp_path: Path, brick: Path, xyz: Any, message: str) -> None:
+def test_bad_scenes(tmp_path: Path, xyz: Any, message: str) -> None:
     scene = write_scene(tmp_path / "scene.ply", xyz)
     with pytest.raises(StageError, match=message) as caught:
-        ingest(tmp_path / "run", scene, brick)
+        ingest(tmp_path / "run", scene)
     assert "\n" not in str(caught.value)
 
 
-def test_config_bounds(tmp_path: Path, brick: Path) -> None:
-    model = {"name": "a", "path": brick}
+def test_config_bounds(tmp_path: Path) -> None:
     cases: list[tuple[dict[str, Any], str]] = [
         ({"scale": 0.0}, "greater than 0"),
         ({"tile_points": 10}, "greater than or equal to 1024"),
-        ({"models": []}, "at least 1 item"),
-        ({"models": [model, model]}, "two models have the name 'a'"),
-        ({"models": [{**model, "stretch": 0.6}]}, "less than or equal to 0.5"),
-        ({"models": [{**model, "visible_from": "below"}]}, "'all' or 'above'"),
         ({"typo": 1}, "Extra inputs"),
     ]
     for changed, message in cases:
         with pytest.raises(ValidationError, match=message):
-            Ingest.Config.model_validate({"scene": tmp_path, "models": [model], **changed})
+            Ingest.Config.model_validate({"scene": tmp_path, **changed})
 
 
-def test_colmap_cameras_come_along(tmp_path: Path, brick: Path, shared_data: Path) -> None:
+def test_colmap_cameras_come_along(tmp_path: Path, shared_data: Path) -> None:
     scene = shared_data / "brighton" / "colmap_sparse"
-    read, _ = ingest(tmp_path / "run", scene, brick, scale=2.0)
+    read, _ = ingest(tmp_path / "run", scene, scale=2.0)
     (cameras,), (frame,) = read(CAMERAS), read(SCENE)
     assert frame.points + frame.duplicates == 6847
     assert cameras.positions.shape == (18, 3)
@@ -210,8 +189,7 @@ def test_colmap_cameras_come_along(tmp_path: Path, brick: Path, shared_data: Pat
 
 @pytest.mark.parametrize("name", ["photo-west/scene.ply", "brighton/odm_model.laz"])
 def test_real_scenes(tmp_path: Path, shared_data: Path, name: str) -> None:
-    model = shared_data / "models" / "saloon.obj"
-    read, _ = ingest(tmp_path / "run", shared_data / name, model)
+    read, _ = ingest(tmp_path / "run", shared_data / name)
     (frame,), (index,) = read(SCENE), read(TILES)
     assert frame.dropped == 0
     assert frame.coloured
@@ -226,7 +204,7 @@ import numpy as np
 from spinpipe.stages.ingest.tiling import POINT
 from test_ingest import ingest
 
-folder, model, count = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
+folder, count = Path(sys.argv[1]), int(sys.argv[2])
 small = folder / "small.ply"
 header = "ply\\nformat binary_little_endian 1.0\\nelement vertex {}\\n" + "".join(
     f"property {t} {n}\\n" for n, t in zip(
@@ -246,16 +224,16 @@ def write(path, count):
 def peak_mb():
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
-ingest(folder / "a", write(folder / "small.ply", 20_000), model)
+ingest(folder / "a", write(folder / "small.ply", 20_000))
 before = peak_mb()
-ingest(folder / "b", write(folder / "large.ply", count), model, 100_000_000)
+ingest(folder / "b", write(folder / "large.ply", count), 100_000_000)
 print(peak_mb() - before)
 """
 
 
-def test_memory_does_not_grow_with_the_scene(tmp_path: Path, brick: Path) -> None:
+def test_memory_does_not_grow_with_the_scene(tmp_path: Path) -> None:
     """3 million points take 45 MB on disk, 81 MB as arrays; within 100 MB the stage needs less."""
-    command = [sys.executable, "-c", _MEASURED, str(tmp_path), str(brick), "3000000"]
+    command = [sys.executable, "-c", _MEASURED, str(tmp_path), "3000000"]
     done = subprocess.run(
         command, cwd=Path(__file__).parent, capture_output=True, text=True, check=False
     )

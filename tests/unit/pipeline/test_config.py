@@ -11,6 +11,8 @@ import pytest
 from spinpipe.pipeline.config import SECTIONS, ConfigError, RunConfig, load_config
 from spinpipe.stages import STAGES
 from spinpipe.stages.ingest.ingest import Ingest
+from spinpipe.stages.ingest.model import Model
+from spinpipe.stages.ingest.object_model import ModelConfig
 from spinpipe.stages.scan.scan import Scan
 from spinpipe.stages.stage import Section
 
@@ -44,6 +46,12 @@ def ingest(config: RunConfig) -> Ingest.Config:
     return section
 
 
+def models(config: RunConfig) -> tuple[ModelConfig, ...]:
+    section = config.stages["model"]
+    assert isinstance(section, Model.Config)
+    return section.models
+
+
 def scan(config: RunConfig) -> Scan.Config:
     section = config.stages["scan"]
     assert isinstance(section, Scan.Config)
@@ -58,16 +66,16 @@ def test_everything_but_scene_and_model_has_a_default(tmp_path: Path) -> None:
 
 
 def test_paths_are_relative_to_the_file(tmp_path: Path) -> None:
-    config = ingest(load(tmp_path))
-    assert config.scene == tmp_path / "data" / "scene.ply"
-    assert config.models[0].path == tmp_path / "car.obj"
+    config = load(tmp_path)
+    assert ingest(config).scene == tmp_path / "data" / "scene.ply"
+    assert models(config)[0].path == tmp_path / "car.obj"
 
 
 def test_paths_may_start_at_home_or_be_absolute(tmp_path: Path) -> None:
     text = MINIMAL.replace("data/scene.ply", "~/scene.ply").replace("car.obj", "/data/car.obj")
-    config = ingest(load(tmp_path, text))
-    assert config.scene == Path.home().resolve() / "scene.ply"
-    assert config.models[0].path == Path("/data/car.obj")
+    config = load(tmp_path, text)
+    assert ingest(config).scene == Path.home().resolve() / "scene.ply"
+    assert models(config)[0].path == Path("/data/car.obj")
 
 
 def test_paths_of_overrides_are_relative_to_the_current_folder(
@@ -78,7 +86,7 @@ def test_paths_of_overrides_are_relative_to_the_current_folder(
     monkeypatch.chdir(here)
     config = load(tmp_path, MINIMAL, "ingest.scene=other.ply", "model.car.path=../model.ply")
     assert ingest(config).scene == here / "other.ply"
-    assert ingest(config).models[0].path == tmp_path / "model.ply"
+    assert models(config)[0].path == tmp_path / "model.ply"
 
 
 @pytest.mark.parametrize(
@@ -101,8 +109,8 @@ def test_the_last_override_wins(tmp_path: Path) -> None:
 
 def test_models_are_overridden_by_name_or_number(tmp_path: Path) -> None:
     text = MINIMAL + '\n[[model]]\nname = "van"\npath = "van.obj"\n'
-    config = ingest(load(tmp_path, text, "model.van.scale=2", "model.0.scale=3"))
-    assert [model.scale for model in config.models] == [3.0, 2.0]
+    config = load(tmp_path, text, "model.van.scale=2", "model.0.scale=3")
+    assert [model.scale for model in models(config)] == [3.0, 2.0]
 
 
 def test_the_resolved_config_gives_the_same_config_from_anywhere(tmp_path: Path) -> None:
@@ -164,7 +172,13 @@ def test_bytes_that_are_no_text_are_no_toml(tmp_path: Path) -> None:
         ("[scan]\nradius_m = nan\n", "[scan] radius_m = nan"),
         ("[scan]\nradius_m = inf\n", "[scan] radius_m = inf"),
         ("[scan]\norigins = 'some'\n", "[scan] origins = 'some'"),
-        ("[verify]\nstarts = 1.5\n", "[verify] starts = 1.5"),
+        ("[verify.icp]\nstarts = 1.5\n", "[verify.icp] starts = 1.5"),
+        ("[verify.icp]\nstart = 1\n", "[verify.icp] has no key 'start'. Did you mean 'starts'?"),
+        (
+            "[verify]\nstarts = 1\n",
+            "[verify] has no key 'starts' any more: it stands in [verify.icp]",
+        ),
+        ("[verify]\nicp = 1\n", "[verify.icp] must be a section, not a value"),
         ("[run]\nseed = -1\n", "[run] seed = -1"),
         ("[ground]\nup = [0, 0, 0]\n", "[ground] up"),
         ("[ground]\nup = [0, 1]\n", "[ground] up"),
@@ -182,20 +196,20 @@ def test_an_error_names_file_section_and_key(tmp_path: Path, text: str, message:
     [
         ("", "no [[model]] section"),
         ("[[model]]\nname = 'a'\npath = 'b'\n", "[ingest] needs 'scene'"),
-        ("[ingest]\nscene = 's.ply'\n[[model]]\nname = 'a'\n", "[[model]] number 1: give either"),
+        ("[ingest]\nscene = 's.ply'\n[[model]]\nname = 'a'\n", "[[model]] 'a': give either"),
         (
             MINIMAL + "\n[[model]]\nname = 'b'\npath = 'c'\nstrech = 1\n",
-            "[[model]] number 2 has no key 'strech'. Did you mean 'stretch'?",
+            "[[model]] 'b' has no key 'strech'. Did you mean 'stretch'?",
         ),
-        (MINIMAL + "scale = -1\n", "[[model]] number 1 scale = -1"),
-        (MINIMAL.replace('"car"', '"a car"'), "[[model]] number 1 name = 'a car'"),
+        (MINIMAL + "scale = -1\n", "[[model]] 'car' scale = -1"),
+        (MINIMAL.replace('"car"', '"a car"'), "[[model]] 'a car' name = 'a car'"),
         (MINIMAL + "\n[[model]]\nname = 'car'\npath = 'c'\n", "two models have the name 'car'"),
         (MINIMAL.replace("[[model]]", "[model]"), "double brackets"),
         ("scan = 3\n" + MINIMAL, "[scan] must be a section"),
         ("model = 3\n[ingest]\nscene = 'a'\n", "double brackets"),
         ("model = [3]\n[ingest]\nscene = 'a'\n", "double brackets"),
         ("model = []\n[ingest]\nscene = 'a'\n", "[[model]]"),
-        ("[ingest]\nscene = 's'\nmodels = []\n", "Write [[model]] sections"),
+        ("[ingest]\nscene = 's'\n[[model]]\npath = 'a'\n", "[[model]] number 1 needs 'name'"),
         ("ingest = 3\n[[model]]\nname = 'a'\npath = 'b'\n", "[ingest] must be a section"),
         (MINIMAL.replace('"data/scene.ply"', "3"), "[ingest] scene = 3"),
         (MINIMAL + "up = 'x'\nforward = '-x'\n", "set forward to another"),
@@ -211,6 +225,9 @@ def test_an_error_of_models_and_sections_says_what_is_missing(
     ("override", "message"),
     [
         ("scan.raduis_m=2", "scan has no key 'raduis_m'. Did you mean 'radius_m'?"),
+        ("verify.keep=1", "verify has no key 'keep' any more: it stands in [verify.icp]"),
+        ("verify.icp=1", "verify has no key 'icp'. There are: method"),
+        ("model.scale=2", "write section.key=value"),
         ("scan.radius_m", "write section.key=value"),
         ("radius_m=2", "write section.key=value"),
         ("scann.radius_m=2", "write section.key=value"),
@@ -243,4 +260,4 @@ def test_sections_are_frozen_and_forbid_unknown_keys(section: type[Section]) -> 
 
 def test_the_resolved_config_holds_no_empty_values(tmp_path: Path) -> None:
     document = tomllib.loads(load(tmp_path).to_toml())
-    assert set(document) == {*SECTIONS, "model"}
+    assert set(document) == {name.partition(".")[0] for name in SECTIONS}

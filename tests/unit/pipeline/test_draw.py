@@ -269,7 +269,7 @@ def test_cloud_is_static_in_the_local_frame_and_turns_upright_with_the_stage(
     assert column(cloud, "CoordinateFrame:frame") == [["local"]] * 3
     assert sum(len(row) for row in column(cloud, "Points3D:positions")) == 1000
     local = chunks(recording, "/frames/local")
-    assert column(local, "stage") == [1, 2]
+    assert column(local, "stage") == [STAGE_NUMBER["ingest"], STAGE_NUMBER["ground"]]
     assert column(local, "Transform3D:quaternion") == [[pytest.approx([0.6, 0, 0, 0.8])]]
 
 
@@ -286,7 +286,7 @@ def test_results_are_there_from_the_start_of_every_timeline(
 
 def test_all_shapes_hang_in_one_tree_of_frames(recording: Path) -> None:
     shapes = ("Points3D:positions", "Boxes3D:half_sizes", "LineStrips3D:strips", "Mesh3D:vertex")
-    found = [c for c in chunks(recording, "/**") if not c.entity_path.startswith("/ingest/models")]
+    found = [c for c in chunks(recording, "/**") if not c.entity_path.startswith("/model/objects")]
     placed = {c.entity_path for c in found if column([c], "CoordinateFrame:frame")}
     drawn = {
         c.entity_path
@@ -309,13 +309,13 @@ def test_many_tiles_appear_one_after_the_other(tmp_path: Path) -> None:
 
 def test_interim_results_are_cleared_by_later_stages(recording: Path) -> None:
     for path, first, cleared in (
-        ("/ground", 2, 3),
-        ("/scan/hits", 3, 5),
-        ("/cluster/candidates", 4, 5),
+        ("/ground", "ground", "scan"),
+        ("/scan/hits", "scan", "verify"),
+        ("/cluster/candidates", "cluster", "verify"),
     ):
         below = chunks(recording, f"{path}/**", static=False)
         assert {tuple(chunk.timeline_names) for chunk in below} == {("stage",)}
-        assert set(column(below, "stage")) == {first, cleared}
+        assert set(column(below, "stage")) == {STAGE_NUMBER[first], STAGE_NUMBER[cleared]}
 
 
 def test_a_candidate_is_joined_with_the_steps_of_its_registration(recording: Path) -> None:
@@ -418,7 +418,7 @@ def test_notes_follow_the_cursor(recording: Path) -> None:
     texts = [row[0] for row in column(notes, "TextDocument:text")]
     assert len(texts) == len(STAGES) + 3
     assert "yard.ply" in texts[0]
-    assert "1 accepted, 1 ambiguous, 1 rejected" in texts[4]
+    assert "1 accepted, 1 ambiguous, 1 rejected" in texts[STAGE_NUMBER["verify"] - 1]
     assert "rejected for a reason" in texts[-1]
 
 
@@ -469,4 +469,4 @@ def test_a_run_that_stopped_early_can_be_looked_at(tmp_path: Path, until: int) -
 )
 def test_sparse_runs_are_drawn(tmp_path: Path, run: Messages) -> None:
     path = draw(tmp_path / "run.rrd", run)
-    assert max(column(chunks(path, "/notes"), "stage")) == 5
+    assert max(column(chunks(path, "/notes"), "stage")) == len(STAGES)

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from spinpipe.pipeline.config import SECTIONS, load_config
+from spinpipe.pipeline.config import SECTIONS, brackets, load_config, own_keys
 from spinpipe.pipeline.init import commented_config
-from spinpipe.stages.ingest.ingest import ModelConfig
 
 TEXT = commented_config("config.toml", "lot/scene.ply", "lot/saloon v2.obj")
 
@@ -19,7 +18,7 @@ def test_it_is_a_config_with_the_scene_and_the_model(tmp_path: Path) -> None:
     path = tmp_path / "config.toml"
     path.write_text(TEXT)
     config = load_config(path)
-    models = config.stages["ingest"].model_dump()["models"]
+    models = config.stages["model"].model_dump()["models"]
     assert [model["name"] for model in models] == ["saloon_v2"]
     assert models[0]["path"] == tmp_path / "lot" / "saloon v2.obj"
 
@@ -35,13 +34,11 @@ def test_it_changes_no_default(tmp_path: Path) -> None:
 
 
 def test_every_key_is_there_and_explained() -> None:
-    for name, section in {**SECTIONS, "model": ModelConfig}.items():
-        title = f"[[{name}]]" if name == "model" else f"[{name}]"
-        body = TEXT.split(f"\n{title}\n", 1)[1].split("\n[", 1)[0]
-        for key, field in section.model_fields.items():
-            if key != "models":
-                assert re.search(rf"^(# )?{key} = ", body, re.MULTILINE), (name, key)
-                assert field.description
+    for name, section in SECTIONS.items():
+        body = TEXT.split(f"\n{brackets(name)}\n", 1)[1].split("\n[", 1)[0]
+        for key, field in own_keys(section).items():
+            assert re.search(rf"^(# )?{key} = ", body, re.MULTILINE), (name, key)
+            assert field.description
 
 
 def test_keys_behind_a_hash_can_be_freed(tmp_path: Path) -> None:

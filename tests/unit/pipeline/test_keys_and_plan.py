@@ -52,12 +52,12 @@ def test_an_empty_folder_runs_everything(finished_yard: YardRun, tmp_path: Path)
 @pytest.mark.parametrize(
     ("override", "first", "named"),
     [
-        ("verify.samples=400", "verify", "verify.samples"),
-        ("cluster.min_hits=2", "cluster", "cluster.min_hits"),
-        ("scan.bin_m=0.25", "scan", "scan.bin_m"),
-        ("ground.min_margin=1.4", "ground", "ground.min_margin"),
-        ("ingest.scale=1.5", "ingest", "ingest.scale"),
-        ("model.saloon.stretch=0.1", "ingest", "stretch"),
+        ("verify.icp.samples=400", "verify", "[verify.icp] samples"),
+        ("cluster.min_hits=2", "cluster", "[cluster] min_hits"),
+        ("scan.bin_m=0.25", "scan", "[scan] bin_m"),
+        ("ground.min_margin=1.4", "ground", "[ground] min_margin"),
+        ("ingest.scale=1.5", "ingest", "[ingest] scale"),
+        ("verify.method=trimmed", "verify", "[verify] method"),
         ("run.seed=1", "ingest", "seed"),
     ],
 )
@@ -153,15 +153,29 @@ def test_touching_or_moving_an_input_is_no_reason(yard_run: YardRun) -> None:
     assert running(plan(yard_run, f"ingest.scene={moved}")) == []
 
 
-@pytest.mark.parametrize("name", ["scene.ply", "saloon.ply"])
-def test_one_changed_byte_of_an_input_runs_everything(yard_run: YardRun, name: str) -> None:
+def test_another_model_costs_neither_import_nor_ground(finished_yard: YardRun) -> None:
+    steps = plan(finished_yard, "model.saloon.stretch=0.1")
+    assert running(steps) == ["model", "scan", "cluster", "verify"]
+    assert reason(steps, "model") == "[[model]] 'saloon' stretch changed"
+    assert reason(steps, "scan") == "model changed"
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "key"),
+    [("scene.ply", "ingest", "[ingest] scene"), ("saloon.ply", "model", "[[model]] 'saloon' path")],
+)
+def test_one_changed_byte_of_an_input_runs_what_reads_it(
+    yard_run: YardRun, name: str, first: str, key: str
+) -> None:
     path = yard_run.folder / name
     content = bytearray(path.read_bytes())
     content[-1] ^= 1
     path.write_bytes(content)
     steps = plan(yard_run)
-    assert running(steps) == NAMES
-    assert "ingest." in reason(steps, "ingest")
+    assert running(steps) == [
+        n for n in NAMES[NAMES.index(first) :] if (first, n) != ("model", "ground")
+    ]
+    assert reason(steps, first) == f"{key} changed"
 
 
 def test_a_missing_input_is_named(yard_run: YardRun) -> None:

@@ -14,7 +14,6 @@ import pytest
 import trimesh
 from PIL import Image
 from plyfile import PlyData
-from pydantic import Field
 from pyproj import Geod, Transformer
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
@@ -29,7 +28,8 @@ from spinpipe.pipeline.results.life import limit_tests
 from spinpipe.schemas.records import Detection, ObjectModel, Part, SceneFrame
 from spinpipe.schemas.topics import Topic
 from spinpipe.stages.geometry.frames import transform, yaw_matrix
-from spinpipe.stages.stage import Section, StageError
+from spinpipe.stages.stage import StageError
+from spinpipe.stages.verify.verify import Verify
 
 if TYPE_CHECKING:
     from tests.conftest import Cli, Yard, YardRun
@@ -201,15 +201,11 @@ def test_geojson_without_a_reference_system_says_what_to_do(tmp_path: Path) -> N
 
 
 def test_limits_stand_beside_the_values_that_they_are_for() -> None:
-    class Rules(Section):
-        method: str = "evidence"
-        min_score: float = Field(0.8, description="evidence: below it: rejected")
-        max_rms_m: float = Field(0.01, description="ICP: above it: rejected")
-        min_margin: float = 0.1
-
-    tests = {t.what: t for t in limit_tests(detection(0, "rejected"), Rules())}
+    rules = {"evidence": {"min_score": 0.8, "min_margin": 0.1}, "icp": {"max_rms_m": 0.01}}
+    section = Verify.Config.model_validate(rules)
+    tests = {t.what: t for t in limit_tests(detection(0, "rejected"), section)}
     assert tests["score"].passed is False
-    assert "verify.min_score" in tests["score"].limit
+    assert "verify.evidence.min_score" in tests["score"].limit
     assert "rms m" not in tests  # of another method
     assert tests["heading margin"].passed is True
 
@@ -293,11 +289,11 @@ def test_differences_of_two_runs() -> None:
 def test_status_tells_what_is_there(yard_run: YardRun, cli: Cli) -> None:
     outcome = cli("status", yard_run.output)
     assert outcome.code == 0, outcome.err
-    assert outcome.out.count("complete") == 5
+    assert outcome.out.count("complete") == 6
     assert "2 accepted" in outcome.out
-    yard_run.mcap("verify").rename(yard_run.output / "05_verify.mcap.partial")
+    yard_run.mcap("verify").rename(yard_run.output / "06_verify.mcap.partial")
     outcome = cli("status", yard_run.output)
-    assert outcome.out.count("complete") == 4
+    assert outcome.out.count("complete") == 5
     assert "begun" in outcome.out
     assert "spinpipe run" in outcome.out
 
