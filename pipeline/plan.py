@@ -14,6 +14,8 @@ from spinpipe.stages import STAGES
 from spinpipe.stages.stage import Section, Stage
 
 _SHOWN_CHANGES = 3
+_LONG = 28
+"""Characters of a value; keys of stages and hashes of files are longer."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,14 @@ def _why(before: Mapping[str, str], now: Mapping[str, str]) -> str:
     changed = changed_parts(before, now)
     own = [name for name in changed if not name.startswith("stage ")]
     names = own or [name.removeprefix("stage ") for name in changed]
-    shown = ", ".join(names[:_SHOWN_CHANGES])
+    shown = [_change(name, before.get(name), now.get(name)) for name in names[:_SHOWN_CHANGES]]
     more = len(names) - _SHOWN_CHANGES
-    return f"{shown}{f' and {more} more' if more > 0 else ''} changed"
+    return ", ".join(shown) + (f" and {more} more" if more > 0 else "")
+
+
+def _change(name: str, before: str | None, now: str | None) -> str:
+    """A value that fits on a line beside what it was; of files and stages that they changed."""
+    values = [value for value in (before, now) if value is not None]
+    if len(values) < 2 or any(len(v) > _LONG or v.startswith("sha256") for v in values):
+        return f"{name} changed"
+    return f"{name} changed from {before} to {now}"
