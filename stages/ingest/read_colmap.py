@@ -35,6 +35,8 @@ _LENSES = {
 _POINT = [(None, "<u8"), *[(None, "<f8")] * 3, *[(None, "<u1")] * 3, (None, "<f8"), ("<u8", "<u8")]
 """A point of points3D.bin: id, x, y, z, colour, error, and pairs of 32-bit numbers: where seen."""
 _SUFFIXES = (".bin", ".txt")
+_LEAST_NORM = 1e-6
+"""Of a quaternion that means something; COLMAP writes unit ones."""
 _NAMES = ("x", "y", "z", "red", "green", "blue")
 
 
@@ -131,7 +133,7 @@ def read_cameras(folder: Path) -> Cameras | None:
     if not found:
         return None
     wxyz = np.array([quaternion for _, quaternion, _, _, _ in found])
-    if not (np.isfinite(wxyz).all() and np.linalg.norm(wxyz, axis=1).all()):
+    if not (np.isfinite(wxyz).all() and np.linalg.norm(wxyz, axis=1).min() > _LEAST_NORM):
         raise _damaged(images, "a rotation is no rotation")
     rotations = Rotation.from_quat(wxyz[:, [1, 2, 3, 0]]).as_matrix()
     positions, quaternions = camera_poses(rotations, np.array([t for _, _, t, _, _ in found]))

@@ -1,0 +1,159 @@
+"""Mutation fuzzers of every reader: damaged files must be read or refused in a sentence.
+
+    uv run python tests/fuzz/readers.py [--executions 10000] [--formats laz glb]
+
+Each format runs in a process of its own, which is watched: an exception that is no sentence, a
+process that dies, ten seconds for one file, and more memory than 4 times the file and 300 MB are
+failures; their files are kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import resource
+import selectors
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from spinpipe.pipeline.errors import INTERNAL_ERROR, describe
+
+LIMIT_S = 10.0
+MEMORY_FACTOR, MEMORY_BYTES = 4, 300_000_000
+NUMBERS = [b"nan", b"-1", b"1e999", b"99999999999999999999", b"0", b"", b"-0", b"1e-320", b"x"]
+EDGES = [0, 1, -1, 2**31 - 1, -(2**31), 2**32 - 1, 2**63 - 1, 2**16, 255]
+
+
+def mutate(data: bytes, rng: random.Random) -> bytes:
+    """A file with one to four damages, most of them near its beginning, where headers are."""
+    out = bytearray(data)
+    for _ in range(rng.choice((1, 1, 2, 4))):
+        if not out:
+            break
+        reach = min(len(out), rng.choice((64, 400, len(out))))
+        at = rng.randrange(reach)
+        match rng.randrange(8):
+            case 0:
+                out[at] ^= 1 << rng.randrange(8)
+            case 1:
+                out[at] = rng.choice((0, 255, 127, 10, 32, rng.randrange(256)))
+            case 2:
+                del out[at : at + rng.choice((1, 2, 8, 100))]
+            case 3:
+                out[at:at] = bytes(rng.randrange(256) for _ in range(rng.choice((1, 4, 50))))
+            case 4:
+                del out[rng.randrange(len(out)) :]
+            case 5:
+                out[at:at] = out[at : at + rng.choice((4, 40, 400))]
+            case 6:
+                kind = rng.choice("iIqQhH")
+                size = struct.calcsize(kind)
+                value = rng.choice(EDGES) & ((1 << 8 * size) - 1)
+                out[at : at + size] = value.to_bytes(size, "little")
+            case _:
+                end = at + 1
+                while end < len(out) and chr(out[end]) in "0123456789.-e":
+                    end += 1
+                out[at:end] = rng.choice(NUMBERS)
+    return bytes(out)
+
+
+def work(name: str, first: int, count: int, seed: int, folder: Path) -> None:
+    """Read damaged files one by one; a line before each, so that the parent knows which."""
+    from seeds import FORMATS
+
+    file_name, write, read = FORMATS[name]
+    path = folder / file_name
+    write(path)
+    whole = path.read_bytes()
+    read(path)  # what is imported for the format counts for nobody
+    for number in range(first, count):
+        data = mutate(whole, random.Random(f"{seed} {name} {number}"))
+        path.write_bytes(data)
+        print(number, flush=True)
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        try:
+            read(path)
+        except Exception as error:
+            text, code = describe(error)
+            if code == INTERNAL_ERROR or "\n" in text:
+                print("FAIL", text.replace("\n", " ")[:300], flush=True)
+        grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
+        if grown > MEMORY_FACTOR * len(data) + MEMORY_BYTES:
+            print(f"FAIL took {grown / 1e6:.0f} MB", flush=True)
+
+
+def fuzz(name: str, executions: int, seed: int, keep: Path) -> list[str]:
+    """Failures of one format, one line each."""
+    failures: list[str] = []
+    first = 0
+    while first < executions:
+        with tempfile.TemporaryDirectory() as folder:
+            command = [sys.executable, __file__, "--worker", name, str(first), str(executions)]
+            process = subprocess.Popen(
+                [*command, str(seed), folder], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+            )
+            first, ended = _watch(process, first, failures, name)
+            if ended and first < executions:
+                failures.append(f"{name} {first}: {ended}")
+                for file in Path(folder).iterdir():
+                    (keep / f"{name}-{seed}-{first}-{file.name}").write_bytes(file.read_bytes())
+            first += 1
+    return failures
+
+
+def _watch(
+    process: subprocess.Popen[bytes], number: int, failures: list[str], name: str
+) -> tuple[int, str]:
+    """Number of the last file, and how the process ended if not well."""
+    assert process.stdout
+    with selectors.DefaultSelector() as selector:
+        selector.register(process.stdout, selectors.EVENT_READ)
+        started = False
+        while True:
+            if not selector.select(LIMIT_S if started else 120.0):
+                process.kill()
+                process.wait()
+                return number, f"hangs for {LIMIT_S:g} s"
+            line = process.stdout.readline().decode(errors="replace").strip()
+            started = True
+            if not line:
+                code = process.wait()
+                return (number, f"the process died, code {code}") if code else (sys.maxsize - 1, "")
+            if line.startswith("FAIL"):
+                failures.append(f"{name} {number}: {line[5:]}")
+            else:
+                number = int(line)
+
+
+def main() -> None:
+    """Fuzz and say how it went; exit code 1 if anything failed."""
+    from seeds import FORMATS
+
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--executions", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--formats", nargs="*", default=list(FORMATS))
+    parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()))
+    given = parser.parse_args()
+    failed = 0
+    for name in given.formats:
+        began = time.monotonic()
+        failures = fuzz(name, given.executions, given.seed, given.keep)
+        failed += len(failures)
+        took = time.monotonic() - began
+        print(f"| {name} | {given.executions} | {len(failures)} | {took:.0f} s |", flush=True)
+        for line in failures[:10]:
+            print(f"    {line}")
+    sys.exit(failed > 0)
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--worker"]:
+        work(sys.argv[2], *map(int, sys.argv[3:6]), Path(sys.argv[6]))
+    else:
+        main()

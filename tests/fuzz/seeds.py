@@ -1,0 +1,162 @@
+"""One small whole file of every format that spinpipe reads, to be damaged by the fuzzers."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import laspy
+import numpy as np
+import trimesh
+from plyfile import PlyData, PlyElement
+
+from spinpipe.pipeline.config import load_config
+from spinpipe.pipeline.evaluation.truth import read_truth
+from spinpipe.pipeline.mcap_file import Messages, StageFileWriter, read_metadata
+from spinpipe.schemas import CLOUD
+from spinpipe.schemas.records import CloudTile, SceneFrame, Upright
+from spinpipe.stages.ingest.object_model import ModelConfig, load_model
+from spinpipe.stages.ingest.open_scene import open_scene
+
+POINTS = np.random.default_rng(0).uniform(-5, 5, (60, 3))
+
+CONFIG = """\
+[ingest]
+scene = "scene.ply"
+scale = 1.5
+[[model]]
+name = "saloon"
+path = "saloon.ply"
+[ground]
+up = [0, 0.1, 1]
+[scan]
+radius_m = 2.5
+bin_m = 0.2
+"""
+PCD = """\
+VERSION 0.7
+FIELDS x y z rgb
+SIZE 4 4 4 4
+TYPE F F F U
+COUNT 1 1 1 1
+WIDTH 60
+HEIGHT 1
+VIEWPOINT 0 0 0 1 0 0 0
+POINTS 60
+DATA {kind}
+"""
+
+
+def ply(path: Path, text: bool) -> None:
+    rows = np.zeros(
+        len(POINTS), [(a, "f4") for a in "xyz"] + [(c, "u1") for c in ("red", "green", "blue")]
+    )
+    for i, axis in enumerate("xyz"):
+        rows[axis] = POINTS[:, i]
+    PlyData([PlyElement.describe(rows, "vertex")], text=text).write(str(path))
+
+
+def las(path: Path) -> None:
+    cloud = laspy.create(point_format=3, file_version="1.2")
+    cloud.header.scales, cloud.header.offsets = np.full(3, 0.001), np.zeros(3)
+    cloud.xyz = POINTS
+    cloud.red = np.arange(len(POINTS), dtype=np.uint16)
+    cloud.write(str(path))
+
+
+def colmap_points(path: Path) -> None:
+    data = struct.pack("<Q", len(POINTS))
+    for i, (x, y, z) in enumerate(POINTS.tolist()):
+        data += struct.pack("<Q3d3BdQ", i, x, y, z, 9, 8, 7, 0.5, 2) + struct.pack(
+            "<4I", 1, i, 2, i
+        )
+    path.write_bytes(data)
+
+
+def colmap_images(path: Path) -> None:
+    """With the points and the camera beside it."""
+    colmap_points(path.with_name("points3D.bin"))
+    path.with_name("cameras.bin").write_bytes(
+        struct.pack("<QIiQQ4d", 1, 1, 1, 64, 48, 50, 50, 32, 24)
+    )
+    data = struct.pack("<Q", 2)
+    for key in (1, 2):
+        data += struct.pack("<I7dI", key, 1, 0, 0, 0, 0.1, 0.2, key, 1) + b"a.jpg\0"
+        data += struct.pack("<Q", 1) + struct.pack("<2dQ", 3, 4, 0)
+    path.write_bytes(data)
+
+
+def colmap_text(path: Path) -> None:
+    lines = [f"{i} {x} {y} {z} 9 8 7 0.5 1 {i}" for i, (x, y, z) in enumerate(POINTS.tolist())]
+    path.write_text("# points\n" + "\n".join(lines) + "\n")
+
+
+def pcd(path: Path, kind: str) -> None:
+    rows = np.column_stack([POINTS, np.arange(len(POINTS))])
+    if kind == "ascii":
+        body = "\n".join(f"{x:.4f} {y:.4f} {z:.4f} {int(c)}" for x, y, z, c in rows).encode()
+    else:
+        body = rows.astype("<f4").tobytes()
+    path.write_bytes(PCD.format(kind=kind).encode() + body)
+
+
+def mcap(path: Path) -> None:
+    writer = StageFileWriter(path, {"stage": "ingest", "key": "0" * 32, "parts": "{}"})
+    for _ in range(3):
+        writer.write(CLOUD, CloudTile(POINTS.astype(np.float32), np.zeros((60, 3), np.uint8)))
+    writer.close({"seconds": "1"})
+
+
+def mesh(path: Path) -> None:
+    trimesh.creation.icosphere(subdivisions=1).export(path)
+
+
+def labels(path: Path) -> None:
+    path.write_text("model,x,y,z,heading_deg,ignore\nsaloon,1,2,0,30,\n,3,-4,0,,1\n")
+
+
+def read_scene(path: Path) -> None:
+    if path.name in ("images.bin", "points3D.bin", "points3D.txt"):
+        path = path.parent
+    for _ in open_scene(path).chunks(1000):
+        pass
+
+
+def read_model(path: Path) -> None:
+    load_model(ModelConfig(name="m", path=path, samples=100), np.random.default_rng(0))
+
+
+def read_mcap(path: Path) -> None:
+    read_metadata(path, "stage")
+    for _ in Messages(path, CLOUD):
+        pass
+
+
+def read_labels(path: Path) -> None:
+    frame = SceneFrame((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 60, 0, coloured=True, source="s")
+    read_truth(path, frame, Upright((0, 0, 0, 1), (0, 0, 0)), "scene")
+
+
+FORMATS: dict[str, tuple[str, Callable[[Path], object], Callable[[Path], object]]] = {
+    "ply": ("a.ply", lambda p: ply(p, text=False), read_scene),
+    "ply-text": ("a.ply", lambda p: ply(p, text=True), read_scene),
+    "ply-mesh": ("m.ply", mesh, read_model),
+    "las": ("a.las", las, read_scene),
+    "laz": ("a.laz", las, read_scene),
+    "colmap-points": ("points3D.bin", colmap_points, read_scene),
+    "colmap-images": ("images.bin", colmap_images, read_scene),
+    "colmap-text": ("points3D.txt", colmap_text, read_scene),
+    "pcd-text": ("a.pcd", lambda p: pcd(p, "ascii"), read_scene),
+    "pcd": ("a.pcd", lambda p: pcd(p, "binary"), read_scene),
+    "text": ("a.xyz", lambda p: np.savetxt(p, POINTS, fmt="%.4f"), read_scene),
+    "obj": ("m.obj", mesh, read_model),
+    "stl": ("m.stl", mesh, read_model),
+    "off": ("m.off", mesh, read_model),
+    "glb": ("m.glb", mesh, read_model),
+    "gltf": ("m.gltf", mesh, read_model),
+    "toml": ("c.toml", lambda p: p.write_text(CONFIG), load_config),
+    "mcap": ("01_ingest.mcap", mcap, read_mcap),
+    "labels": ("t.csv", labels, read_labels),
+}
+"""File name, what writes a whole one, what reads it; by format."""
