@@ -6,6 +6,7 @@ up than against it, 0 where nothing does.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -97,6 +98,8 @@ def _vote(favour: float | np.intp, against: float | np.intp, few: float) -> floa
 class Terrain:
     """A plane as the ground, grown over the gentle slopes and steps that continue it."""
 
+    up: F64
+    """(3,) unit vector: the vertical, not the plane's own normal."""
     plane: FittedPlane
     members: Bool
     """(N,) points of the surface that are ground."""
@@ -111,6 +114,11 @@ class Terrain:
     touching: Bool
     """(N,) points next to the ground."""
 
+    def level(self, points: F64) -> FittedPlane:
+        """The level plane at the median height of the ground among (N, 3) points."""
+        height = float(np.median(points[self.members] @ self.up))
+        return FittedPlane(self.up, -height, self.plane.inlier_distance)
+
     @property
     def few(self) -> float:
         """Points that count as nothing beside this ground."""
@@ -118,19 +126,19 @@ class Terrain:
 
     def flipped(self) -> Terrain:
         """Return the same ground seen from its other side."""
-        return replace(self, plane=self.plane.flipped(), heights=-self.heights)
+        return replace(self, up=-self.up, plane=self.plane.flipped(), heights=-self.heights)
 
 
-def grow_terrain(surface: Surface, plane: FittedPlane) -> Terrain:
+def grow_terrain(surface: Surface, up: F64, plane: FittedPlane) -> Terrain:
     """Find the ground that a plane is a part of.
 
-    Points whose normals are within ``SLOPE_DEG`` of the plane's form connected groups; a group
+    Points whose normals are within ``SLOPE_DEG`` of the vertical form connected groups; a group
     that the plane runs through belongs to the ground. So hills and kerbs are ground while roofs
     and bonnets, which steep sides cut off, are not.
     """
     from_plane = plane.heights(surface.points)
     inliers = np.abs(from_plane) < plane.inlier_distance
-    parallel = np.abs(surface.normals @ plane.normal)
+    parallel = np.abs(surface.normals @ up)
     gentle = parallel > np.cos(np.radians(SLOPE_DEG))
     labels = surface.groups(gentle)
     hit = inliers[gentle]
@@ -139,17 +147,17 @@ def grow_terrain(surface: Surface, plane: FittedPlane) -> Terrain:
     part = (hits >= SPECK) & ((hits >= PART * sizes) | (hits >= PART * hit.sum()))
     members = inliers.copy()
     members[gentle] |= part[labels]
-    axes = np.linalg.svd(plane.normal[None])[2][1:]
-    flat = surface.points @ axes.T
+    flat, along = surface.points @ np.linalg.svd(up[None])[2][1:].T, surface.points @ up
     about = min(ABOUT, np.count_nonzero(members))
     ranks: Any = [*range(1, about + 1)]  # a list: with an axis of neighbours even for one
     _, below = KDTree(flat[members]).query(flat[~members], k=ranks)
     heights = np.zeros(len(members))
-    heights[~members] = from_plane[~members] - np.median(from_plane[members][below], axis=1)
+    heights[~members] = along[~members] - np.median(along[members][below], axis=1)
     band = max(BAND * plane.inlier_distance, surface.voxel)
     near = band + REACH * surface.voxel
     gap, _ = KDTree(surface.points[members]).query(surface.points, distance_upper_bound=near)
     return Terrain(
+        up,
         plane,
         members,
         heights,
@@ -160,7 +168,7 @@ def grow_terrain(surface: Surface, plane: FittedPlane) -> Terrain:
     )
 
 
-def distinct_terrains(surface: Surface, planes: list[FittedPlane]) -> list[Terrain]:
+def distinct_terrains(surface: Surface, up: F64, planes: list[FittedPlane]) -> list[Terrain]:
     """Grow every plane into ground and keep one plane, the largest, of each ground.
 
     Facets of a hill, or the tops of things where noise joins them to the ground, grow into the
@@ -174,7 +182,7 @@ def distinct_terrains(surface: Surface, planes: list[FittedPlane]) -> list[Terra
     for plane in sorted(planes, key=inliers, reverse=True):
         if inliers(plane) == 0:
             continue
-        terrain = grow_terrain(surface, plane)
+        terrain = grow_terrain(surface, up, plane)
         size = np.count_nonzero(terrain.members)
         shared = [np.count_nonzero(terrain.members & other.members) for other in kept]
         if max(shared, default=0) <= 0.5 * size:
@@ -196,7 +204,7 @@ def _over_outline(surface: Surface, members: Bool, flat: F64, band: float) -> Bo
     return outside < REACH * surface.voxel + band
 
 
-def scene_evidence(surface: Surface, terrains: list[Terrain]) -> list[dict[str, float]]:
+def scene_evidence(surface: Surface, terrains: Sequence[Terrain]) -> list[dict[str, float]]:
     """Ask the points about each terrain as the ground, its normal as up.
 
     - ``points above``: what lies over the ground's outline is above the ground, not below it.

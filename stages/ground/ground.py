@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,31 +15,19 @@ from spinpipe.schemas.records import Evidence, Plane, Sampling, Upright
 from spinpipe.stages.geometry.sampling import measure_sampling
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.ground.area_sample import AreaSample, sample_by_area
-from spinpipe.stages.ground.evidence import SLOPE_DEG, camera_up, solid_surface
+from spinpipe.stages.ground.evidence import Surface, Terrain, camera_up, solid_surface
 from spinpipe.stages.ground.level import lowest_level
-from spinpipe.stages.ground.plane import (
-    SIGMAS,
-    SMOOTHEST,
-    FittedPlane,
-    LocalPlanes,
-    is_collinear,
-    ransac_planes,
-    refine_plane,
-    reliable_local_planes,
-)
+from spinpipe.stages.ground.patches import flat_patches
+from spinpipe.stages.ground.plane import is_collinear, reliable_local_planes
 from spinpipe.stages.ground.sampled_squares import points_of_some_squares
-from spinpipe.stages.ground.upright import best_rival, rank, up_quaternion
+from spinpipe.stages.ground.surfaces import SIGMAS, Surfaces, scene_surfaces
+from spinpipe.stages.ground.upright import Hypothesis, best_rival, rank, up_quaternion
+from spinpipe.stages.ground.vertical import Vertical, Witnesses
 from spinpipe.stages.stage import Context, Section, StageError
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-PLANES = 6
-"""Planes that are tried as the ground."""
-FLOOR_DISTANCE = 1e-3
-"""Smallest inlier distance, in voxels of the sample: noiseless planes have float32 noise."""
-WIDEST_DISTANCE = 0.02
-"""Largest inlier distance that is tried when none is stated, as a share of the extent."""
 SAMPLING_POINTS = 2_000_000
 """Points that density and noise are measured from."""
 
@@ -48,7 +36,7 @@ class Ground:
     """Estimate the ground plane and the rotation that turns the scene upright."""
 
     name = "ground"
-    version = 3
+    version = 4
     inputs = (CLOUD, TILES, CAMERAS)
     outputs = (PLANE, UPRIGHT, SAMPLING)
 
@@ -58,17 +46,8 @@ class Ground:
         up: Literal["auto"] | tuple[float, float, float] = Field(
             "auto", description="'auto', or the up direction [x, y, z] in scene coordinates"
         )
-        inlier_distance_m: float | None = Field(
-            None, gt=0, description="distance from the ground plane; measured if not stated"
-        )
-        min_inlier_share: float = Field(
-            0.1, gt=0, lt=1, description="smallest share of the surface that a plane may hold"
-        )
         min_margin: float = Field(
             2.5, gt=1, description="how much better the evidence for up must be than for its rival"
-        )
-        confidence: float = Field(
-            0.999, gt=0, lt=1, description="probability that RANSAC draws three inliers"
         )
         sample_points: int = Field(
             150_000, ge=1000, le=2_000_000, description="most points in the sample of the surface"
@@ -83,13 +62,8 @@ class Ground:
 
     def run(self, ctx: Context[Config]) -> None:
         """Sample the cloud, find the ground, write its plane and the upright rotation."""
-        sample = _sample(ctx)
-        points = sample.points.astype(np.float64)
-        local = reliable_local_planes(points)
-        if ctx.config.up == "auto":
-            plane = _estimate(ctx, points, local, sample.voxel)
-        else:
-            plane = _stated(ctx, points, local, sample.voxel)
+        scene = _Scene.of(_sample(ctx))
+        plane = _estimate(ctx, scene) if ctx.config.up == "auto" else _stated(ctx.config, scene)
         up = np.array(plane.normal)
         ctx.write(PLANE, plane)
         upright = Upright(up_quaternion(up), (0.0, 0.0, plane.offset))
@@ -135,41 +109,48 @@ def _measure_sampling(ctx: Context[Ground.Config], upright: Upright) -> Sampling
         raise StageError(f"ground: {error}; the scene needs more points") from None
 
 
-def _estimate(ctx: Context[Ground.Config], points: F64, local: LocalPlanes, voxel: float) -> Plane:
-    """Choose the plane and the side that the evidence speaks for."""
-    config = ctx.config
-    distance = inlier_distance(config, local, voxel)
-    planes = find_planes(config, points, local.normals, distance, ctx.rng)
-    cameras = None
+class _Scene(NamedTuple):
+    """What the scene's surface looks like."""
+
+    surface: Surface
+    surfaces: Surfaces
+
+    @classmethod
+    def of(cls, sample: AreaSample) -> _Scene:
+        points = sample.points.astype(np.float64)
+        surfaces = scene_surfaces(flat_patches(points, sample.voxel), len(points))
+        normals = reliable_local_planes(points).normals
+        return cls(solid_surface(points, normals, sample.voxel), surfaces)
+
+
+def _estimate(ctx: Context[Ground.Config], scene: _Scene) -> Plane:
+    """Choose the vertical and the end of it that the evidence speaks for."""
+    cameras, vertical = None, None
     for message in ctx.read(CAMERAS):
         rotations = Rotation.from_quat(message.quaternions_xyzw).as_matrix()
-        cameras = (message.positions, rotations)
-    surface = solid_surface(points, local.normals, voxel)
-    hypotheses = rank(surface, planes, cameras)
+        cameras, vertical = (message.positions, rotations), camera_up(rotations)
+    also = np.empty((0, 3)) if vertical is None else vertical[None]
+    hypotheses: list[Hypothesis] = []
+    if len(scene.surfaces):
+        verticals = Witnesses.of(scene.surfaces).verticals(also)
+        hypotheses = rank(scene.surface, scene.surfaces, verticals, cameras)
     if not hypotheses:
         raise StageError(
-            f"ground: no plane holds {config.min_inlier_share:.0%} of the surface; set"
-            " ground.up = [x, y, z], or raise ground.inlier_distance_m"
+            "ground: cannot tell which way is up: the scene has no level surface;"
+            " set ground.up = [x, y, z]"
         )
     best, rival = hypotheses[0], best_rival(hypotheses)
-    vertical = None if cameras is None else camera_up(cameras[1])
     if vertical is not None and best.evidence["cameras level"] < 0:
         # The best plane is a wall to the cameras: the scene has no ground, or too little of it.
         raise _undecided(vertical, best.up)
-    if best.score < config.min_margin * rival.score:
+    if best.score < ctx.config.min_margin * rival.score:
         raise _undecided(best.up, rival.up)
     by_points = best.weight("points") / rival.weight("points")
     by_cameras = best.weight("cameras") / rival.weight("cameras")
-    plane = refine_plane(
-        surface.points[best.terrain.members],
-        best.terrain.plane,
-        window=np.inf,
-        widest=np.inf,
-        fixed_distance=config.inlier_distance_m is not None,
-    )
     return to_record(
-        plane,
-        points,
+        scene,
+        best.up,
+        best.terrain,
         "cameras" if by_cameras > by_points else "points",
         {**best.evidence, "margin": best.score / rival.score},
     )
@@ -183,80 +164,37 @@ def _undecided(first: F64, second: F64) -> StageError:
     )
 
 
-def _stated(ctx: Context[Ground.Config], points: F64, local: LocalPlanes, voxel: float) -> Plane:
+def _stated(config: Ground.Config, scene: _Scene) -> Plane:
     """Keep the stated direction and find the height of the ground along it."""
-    up = np.array(ctx.config.up, np.float64)
+    up = np.array(config.up, np.float64)
     up /= np.linalg.norm(up)
-    distance = inlier_distance(ctx.config, local, voxel)
-    planes = find_planes(ctx.config, points, local.normals, distance, ctx.rng)
-    lying = [plane for plane in planes if abs(plane.normal @ up) > np.cos(np.radians(SLOPE_DEG))]
-    surface = solid_surface(points, local.normals, voxel)
-    hypotheses = [h for h in rank(surface, lying, None) if h.up @ up > 0]
-    if hypotheses:
-        ground = hypotheses[0].terrain
-        level = float(np.median(surface.points[ground.members] @ up))
-        distance = ground.plane.inlier_distance
+    hypotheses = rank(scene.surface, scene.surfaces, [Vertical(up, 0.0)], None)
+    terrain = next((h.terrain for h in hypotheses if h.up @ up > 0), None)
+    return to_record(scene, up, terrain, "config", {})
+
+
+def to_record(
+    scene: _Scene, up: F64, terrain: Terrain | None, source: str, evidence: dict[str, float]
+) -> Plane:
+    """Describe the ground: its level plane, and how much of the scene's surface it is."""
+    points = scene.surface.points
+    if terrain is None:
+        distance = SIGMAS * scene.surface.voxel
+        offset = -lowest_level(points, up, scene.surface.voxel, distance)
+        members = np.abs(points @ up + offset) < distance
+        rms_m = float(np.sqrt(np.mean((points[members] @ up + offset) ** 2)))
     else:
-        level = lowest_level(points, up, voxel, distance)
-    return to_record(FittedPlane(up, -level, distance), points, "config", {})
-
-
-def inlier_distance(config: Ground.Config, local: LocalPlanes, voxel: float) -> float:
-    """Derive the inlier distance from the noise of the smoothest surfaces unless it is stated.
-
-    Rougher ground is reached by widening; clutter must not widen it from the start.
-    """
-    if config.inlier_distance_m is not None:
-        return config.inlier_distance_m
-    noise = float(np.quantile(local.deviations, SMOOTHEST))
-    return max(SIGMAS * noise, FLOOR_DISTANCE * voxel)
-
-
-def find_planes(
-    config: Ground.Config, points: F64, normals: F64, distance: float, rng: np.random.Generator
-) -> list[FittedPlane]:
-    """Find the largest planes, with an inlier distance as small as the scene allows.
-
-    Where none is stated it starts at the noise of the surface and doubles until a plane is found:
-    natural ground is rougher at large than it is locally.
-    """
-    centre = np.median(points, axis=0)
-    centred = points - centre
-    low, high = np.quantile(centred, (0.05, 0.95), axis=0)
-    widest = WIDEST_DISTANCE * float(np.linalg.norm(high - low))
-    stated = config.inlier_distance_m is not None
-    while True:
-        planes = ransac_planes(
-            centred,
-            normals,
-            distance,
-            rng,
-            count=PLANES,
-            min_share=config.min_inlier_share,
-            confidence=config.confidence,
-            fixed_distance=stated,
-        )
-        if planes or stated or 2 * distance > widest:
-            break
-        distance *= 2
-    return [
-        FittedPlane(p.normal, p.offset - float(p.normal @ centre), p.inlier_distance)
-        for p in planes
-    ]
-
-
-def to_record(plane: FittedPlane, points: F64, source: str, evidence: dict[str, float]) -> Plane:
-    """Describe a plane with its inliers among the sample."""
-    heights = plane.heights(points)
-    inliers = heights[np.abs(heights) < plane.inlier_distance]
-    x, y, z = plane.normal
+        distance, members = terrain.plane.inlier_distance, terrain.members
+        offset = -float(np.median(points[members] @ up))
+        rms_m = distance / SIGMAS
+    x, y, z = up.tolist()
     return Plane(
-        normal=(float(x), float(y), float(z)),
-        offset=plane.offset,
-        inliers=len(inliers),
+        normal=(x, y, z),
+        offset=offset,
+        inliers=int(np.count_nonzero(members)),
         points=len(points),
-        rms_m=float(np.sqrt(np.mean(inliers**2))) if len(inliers) else 0.0,
-        inlier_distance_m=plane.inlier_distance,
+        rms_m=rms_m,
+        inlier_distance_m=distance,
         up_source=source,
         evidence=tuple(Evidence(name, float(value)) for name, value in evidence.items()),
     )

@@ -1,4 +1,4 @@
-"""Which plane is the ground, which of its sides is up, and the rotation that follows."""
+"""Which axis is the vertical, which of its ends is up, and the rotation that follows."""
 
 from __future__ import annotations
 
@@ -8,13 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.stages.ground.evidence import (
+    SLOPE_DEG,
     Surface,
     Terrain,
     camera_evidence,
     distinct_terrains,
     scene_evidence,
 )
+from spinpipe.stages.ground.patches import FLOAT32_NOISE
 from spinpipe.stages.ground.plane import FittedPlane
+from spinpipe.stages.ground.surfaces import SIGMAS, Surfaces
+from spinpipe.stages.ground.vertical import Vertical
 
 F64 = NDArray[np.float64]
 
@@ -22,30 +26,43 @@ CERTAIN = 0.95
 """No single piece of evidence rules a hypothesis out."""
 SAME_DIRECTION_DEG = 20.0
 """Hypotheses whose ups differ by less do not contradict each other."""
+NEGLIGIBLE = 6.0
+"""A vertical with so much less support than the best one is not looked at."""
+SUPPORT_SCALE = 2.0
+"""Loss of support that divides a hypothesis's score by e: surfaces are not independent."""
+CONVENTIONAL = 0.3
+"""Evidence of the file's axis for its positive end: cannot decide alone, breaks what is close."""
+PLANES, NOTABLE = 3, 0.3
+"""Level surfaces tried as a vertical's ground, and their least area relative to the largest."""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A plane taken as the ground, its normal as up.
+    """An axis taken as the vertical, one of its ends as up, and a surface as the ground.
 
     Every piece of evidence in -1..1 must hold, so the score is the product of
-    ``(1 + evidence) / 2``, times the root of the relative area of the ground.
+    ``(1 + evidence) / 2``, times the root of the relative area of the ground, times the
+    (tempered) likelihood of the vertical.
     """
 
+    vertical: Vertical
     terrain: Terrain
     area: float
     """Of its largest connected piece, relative to that of the largest ground."""
+    likelihood: float
+    """Of the vertical, relative to that of the best one."""
     evidence: dict[str, float]
 
     @property
     def up(self) -> F64:
-        """(3,) unit vector."""
-        return self.terrain.plane.normal
+        """(3,) unit vector: the file's own axis where it may be that."""
+        named = self.vertical.convention
+        return named if named is not None and named @ self.terrain.up > 0 else self.terrain.up
 
     @property
     def score(self) -> float:
         """In 0..1, larger is better."""
-        return float(np.sqrt(self.area)) * self.weight()
+        return float(np.sqrt(self.area)) * self.likelihood * self.weight()
 
     def weight(self, source: str = "") -> float:
         """Product of the evidence whose name starts with ``source``."""
@@ -54,29 +71,66 @@ class Hypothesis:
 
 
 def rank(
-    surface: Surface, planes: list[FittedPlane], cameras: tuple[F64, F64] | None
+    surface: Surface,
+    surfaces: Surfaces,
+    verticals: list[Vertical],
+    cameras: tuple[F64, F64] | None,
 ) -> list[Hypothesis]:
-    """Try every plane with either side up, best first.
+    """Try every vertical with either end up and its largest level surfaces as the ground.
 
     Parameters
     ----------
     surface
         The scene.
-    planes
+    surfaces
         Its planes.
+    verticals
+        What may be the vertical, the best first.
     cameras
         Positions (C, 3) and rotations (C, 3, 3) of the cameras, in the frame of the points.
+
+    Returns
+    -------
+    list of Hypothesis
+        Best first.
     """
-    hypotheses: list[Hypothesis] = []
-    terrains = distinct_terrains(surface, planes)
+    tried: list[tuple[Vertical, Terrain]] = []
+    for vertical in verticals:
+        if verticals[0].support - vertical.support <= NEGLIGIBLE:
+            planes = _level_planes(surfaces, vertical.axis, FLOAT32_NOISE * surface.voxel)
+            terrains = distinct_terrains(surface, vertical.axis, planes)
+            tried += [(vertical, terrain) for terrain in terrains]
+    if not tried:
+        return []
+    axes, terrains = zip(*tried, strict=True)
     areas = [_largest_piece(surface, terrain) for terrain in terrains]
-    for signed in (terrains, [terrain.flipped() for terrain in terrains]):
+    hypotheses: list[Hypothesis] = []
+    for signed in (terrains, tuple(terrain.flipped() for terrain in terrains)):
         found = scene_evidence(surface, signed)
-        for terrain, area, evidence in zip(signed, areas, found, strict=True):
+        for vertical, terrain, area, evidence in zip(axes, signed, areas, found, strict=True):
+            likelihood = float(np.exp((vertical.support - verticals[0].support) / SUPPORT_SCALE))
+            if vertical.convention is not None:
+                side = np.sign(vertical.convention @ terrain.up)
+                evidence["axes of the file"] = float(side * CONVENTIONAL)
             if cameras is not None:
-                evidence |= camera_evidence(*cameras, terrain.plane)
-            hypotheses.append(Hypothesis(terrain, area / max(areas), evidence))
+                evidence |= camera_evidence(*cameras, terrain.level(surface.points))
+            share = area / max(areas)
+            hypotheses.append(Hypothesis(vertical, terrain, share, likelihood, evidence))
     return sorted(hypotheses, key=lambda h: -h.score)
+
+
+def _level_planes(surfaces: Surfaces, axis: F64, least: float) -> list[FittedPlane]:
+    """The largest surfaces that slope no more than ground does."""
+    cosine = surfaces.normal @ axis
+    level = np.flatnonzero(np.abs(cosine) > np.cos(np.radians(SLOPE_DEG)))
+    level = level[surfaces.share[level] >= NOTABLE * surfaces.share[level].max(initial=0)][:PLANES]
+    planes: list[FittedPlane] = []
+    for row in level:
+        normal = surfaces.normal[row] * np.copysign(1.0, cosine[row])
+        offset = -float(normal @ surfaces.centre[row])
+        distance = SIGMAS * max(float(surfaces.thickness[row]), least)
+        planes.append(FittedPlane(normal, offset, distance))
+    return planes
 
 
 def _largest_piece(surface: Surface, terrain: Terrain) -> int:

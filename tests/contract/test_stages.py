@@ -252,7 +252,7 @@ def test_ground_decides_on_degenerate_clouds(
     cloud: np.ndarray, config: RunConfig, tmp_path: Path
 ) -> None:
     stage = NAMED["ground"]
-    for overrides in ({}, {"up": (0.0, 0.0, 1.0)}, {"inlier_distance_m": 0.1}):
+    for overrides in ({}, {"up": (0.0, 0.0, 1.0)}, {"min_margin": 4.0}):
         section = config.stages["ground"].model_copy(update=overrides)
         try:
             outputs = run(stage, section, as_messages(cloud), tmp_path).outputs
