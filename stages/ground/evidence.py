@@ -43,7 +43,7 @@ TURNED_DEG = 15.0
 TILT_DEG = 20.0
 """The ground may be tilted by this much against the vertical of the cameras."""
 ABOUT = 8
-"""Points of the ground that give its height below a point."""
+"""Nearest points of the ground, which give its height at a point; on the level next to it."""
 
 
 @dataclass(frozen=True)
@@ -133,8 +133,9 @@ def grow_terrain(surface: Surface, up: F64, plane: FittedPlane) -> Terrain:
     """Find the ground that a plane is a part of.
 
     Points whose normals are within ``SLOPE_DEG`` of the vertical form connected groups; a group
-    that the plane runs through belongs to the ground. So hills and kerbs are ground while roofs
-    and bonnets, which steep sides cut off, are not.
+    that the plane runs through belongs to the ground, and so does one that is large, on whatever
+    level. So hills, kerbs and terraces are ground while bonnets and small roofs, which steep sides
+    cut off, are not.
     """
     from_plane = plane.heights(surface.points)
     inliers = np.abs(from_plane) < plane.inlier_distance
@@ -145,12 +146,13 @@ def grow_terrain(surface: Surface, up: F64, plane: FittedPlane) -> Terrain:
     sizes = np.bincount(labels, minlength=1)
     hits = np.bincount(labels, weights=hit, minlength=1)
     part = (hits >= SPECK) & ((hits >= PART * sizes) | (hits >= PART * hit.sum()))
+    part |= sizes >= PART * sizes.max()
     members = inliers.copy()
     members[gentle] |= part[labels]
     flat, along = surface.points @ np.linalg.svd(up[None])[2][1:].T, surface.points @ up
     about = min(ABOUT, np.count_nonzero(members))
     ranks: Any = [*range(1, about + 1)]  # a list: with an axis of neighbours even for one
-    _, below = KDTree(flat[members]).query(flat[~members], k=ranks)
+    _, below = KDTree(surface.points[members]).query(surface.points[~members], k=ranks)
     heights = np.zeros(len(members))
     heights[~members] = along[~members] - np.median(along[members][below], axis=1)
     band = max(BAND * plane.inlier_distance, surface.voxel)

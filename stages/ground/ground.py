@@ -168,7 +168,7 @@ def _stated(config: Ground.Config, scene: _Scene) -> Plane:
     """Keep the stated direction and find the height of the ground along it."""
     up = np.array(config.up, np.float64)
     up /= np.linalg.norm(up)
-    hypotheses = rank(scene.surface, scene.surfaces, [Vertical(up, 0.0)], None)
+    hypotheses = rank(scene.surface, scene.surfaces, [Vertical(up, np.inf)], None)
     terrain = next((h.terrain for h in hypotheses if h.up @ up > 0), None)
     return to_record(scene, up, terrain, "config", {})
 
@@ -177,23 +177,19 @@ def to_record(
     scene: _Scene, up: F64, terrain: Terrain | None, source: str, evidence: dict[str, float]
 ) -> Plane:
     """Describe the ground: its level plane, and how much of the scene's surface it is."""
-    points = scene.surface.points
+    points, voxel = scene.surface.points, scene.surface.voxel
+    distance = SIGMAS * voxel if terrain is None else terrain.plane.inlier_distance
+    members = np.ones(len(points), bool) if terrain is None else terrain.members
+    level = lowest_level(points[members], up, voxel, distance)
     if terrain is None:
-        distance = SIGMAS * scene.surface.voxel
-        offset = -lowest_level(points, up, scene.surface.voxel, distance)
-        members = np.abs(points @ up + offset) < distance
-        rms_m = float(np.sqrt(np.mean((points[members] @ up + offset) ** 2)))
-    else:
-        distance, members = terrain.plane.inlier_distance, terrain.members
-        offset = -float(np.median(points[members] @ up))
-        rms_m = distance / SIGMAS
+        members = np.abs(points @ up - level) < distance
     x, y, z = up.tolist()
     return Plane(
         normal=(x, y, z),
-        offset=offset,
+        offset=-level,
         inliers=int(np.count_nonzero(members)),
         points=len(points),
-        rms_m=rms_m,
+        rms_m=distance / SIGMAS,
         inlier_distance_m=distance,
         up_source=source,
         evidence=tuple(Evidence(name, float(value)) for name, value in evidence.items()),

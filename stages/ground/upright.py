@@ -18,7 +18,7 @@ from spinpipe.stages.ground.evidence import (
 from spinpipe.stages.ground.patches import FLOAT32_NOISE
 from spinpipe.stages.ground.plane import FittedPlane
 from spinpipe.stages.ground.surfaces import SIGMAS, Surfaces
-from spinpipe.stages.ground.vertical import Vertical
+from spinpipe.stages.ground.vertical import LEAST_SUPPORT, Vertical
 
 F64 = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ NEGLIGIBLE = 6.0
 SUPPORT_SCALE = 2.0
 """Loss of support that divides a hypothesis's score by e: surfaces are not independent."""
 CONVENTIONAL = 0.3
-"""Evidence of the file's axis for its positive end: cannot decide alone, breaks what is close."""
+"""Evidence of the file's z for its positive end: cannot decide alone, breaks what is close."""
 PLANES, NOTABLE = 3, 0.3
 """Level surfaces tried as a vertical's ground, and their least area relative to the largest."""
 
@@ -96,7 +96,7 @@ def rank(
     """
     tried: list[tuple[Vertical, Terrain]] = []
     for vertical in verticals:
-        if verticals[0].support - vertical.support <= NEGLIGIBLE:
+        if vertical.support >= max(verticals[0].support - NEGLIGIBLE, LEAST_SUPPORT):
             planes = _level_planes(surfaces, vertical.axis, FLOAT32_NOISE * surface.voxel)
             terrains = distinct_terrains(surface, vertical.axis, planes)
             tried += [(vertical, terrain) for terrain in terrains]
@@ -109,9 +109,8 @@ def rank(
         found = scene_evidence(surface, signed)
         for vertical, terrain, area, evidence in zip(axes, signed, areas, found, strict=True):
             likelihood = float(np.exp((vertical.support - verticals[0].support) / SUPPORT_SCALE))
-            if vertical.convention is not None:
-                side = np.sign(vertical.convention @ terrain.up)
-                evidence["axes of the file"] = float(side * CONVENTIONAL)
+            if vertical.convention is not None and vertical.convention[2] == 1:
+                evidence["file's z"] = CONVENTIONAL * float(np.sign(terrain.up[2]))
             if cameras is not None:
                 evidence |= camera_evidence(*cameras, terrain.level(surface.points))
             share = area / max(areas)

@@ -28,6 +28,9 @@ DIRECTIONS = 4000
 """Directions of the half sphere that are tried: 2.3 degrees apart."""
 APART_DEG = 20.0
 """Verticals that differ by less are one hypothesis, whose best direction counts."""
+LEAST_SUPPORT = 1.0
+"""Support of a vertical; points scattered through a volume reach 0.3, the least of the tested
+scenes 3."""
 CANDIDATES = 6
 """Verticals that are looked at further."""
 CONVENTIONS = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
@@ -35,6 +38,8 @@ CONVENTIONS = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 CONVENTION_LOSS = 2.0
 """Loss of support at which an axis of the file is still the vertical: it is so exactly in most
 files and by chance in one of several thousand, so the surfaces' word must be clear against it."""
+CONVENTION_DEG = 5.0
+"""And the angle: as much as ground slopes that is taken for level."""
 FINEST_DEG = 0.01
 """Step at which the search for the best direction ends."""
 
@@ -99,7 +104,7 @@ class Witnesses:
 
     def _vertical(self, axis: F64) -> Vertical:
         support = float(self.support(axis[None])[0])
-        near = np.abs(CONVENTIONS @ axis) > np.cos(np.radians(APART_DEG))
+        near = np.abs(CONVENTIONS @ axis) > np.cos(np.radians(CONVENTION_DEG))
         kept = near & (support - self.support(CONVENTIONS) <= CONVENTION_LOSS)
         return Vertical(axis, support, CONVENTIONS[np.argmax(kept)] if kept.any() else None)
 
