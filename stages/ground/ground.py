@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 from scipy.spatial.transform import Rotation
 
-from spinpipe.schemas import CAMERAS, CLOUD, PLANE, SAMPLING, TILES, UPRIGHT
+from spinpipe.schemas import CAMERAS, CLOUD, PLANE, SAMPLING, SCENE, TILES, UPRIGHT
 from spinpipe.schemas.records import Evidence, Plane, Sampling, Upright
 from spinpipe.stages.geometry.sampling import measure_sampling
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.ground.area_sample import AreaSample, sample_by_area
 from spinpipe.stages.ground.evidence import Surface, Terrain, camera_up, solid_surface
-from spinpipe.stages.ground.level import lowest_level
+from spinpipe.stages.ground.level import NOTABLE, lowest_level
 from spinpipe.stages.ground.patches import flat_patches
 from spinpipe.stages.ground.plane import is_collinear, reliable_local_planes
 from spinpipe.stages.ground.sampled_squares import points_of_some_squares
@@ -37,7 +37,7 @@ class Ground:
 
     name = "ground"
     version = 4
-    inputs = (CLOUD, TILES, CAMERAS)
+    inputs = (CLOUD, TILES, SCENE, CAMERAS)
     outputs = (PLANE, UPRIGHT, SAMPLING)
 
     class Config(Section):
@@ -63,7 +63,13 @@ class Ground:
     def run(self, ctx: Context[Config]) -> None:
         """Sample the cloud, find the ground, write its plane and the upright rotation."""
         scene = _Scene.of(_sample(ctx))
-        plane = _estimate(ctx, scene) if ctx.config.up == "auto" else _stated(ctx.config, scene)
+        declared, stated = ctx.read_one(SCENE).up, ctx.config.up
+        if stated != "auto":
+            plane = _along(scene, np.array(stated, np.float64), "config")
+        elif declared:
+            plane = _along(scene, np.array(declared, np.float64), "file")
+        else:
+            plane = _estimate(ctx, scene)
         up = np.array(plane.normal)
         ctx.write(PLANE, plane)
         upright = Upright(up_quaternion(up), (0.0, 0.0, plane.offset))
@@ -164,13 +170,16 @@ def _undecided(first: F64, second: F64) -> StageError:
     )
 
 
-def _stated(config: Ground.Config, scene: _Scene) -> Plane:
-    """Keep the stated direction and find the height of the ground along it."""
-    up = np.array(config.up, np.float64)
-    up /= np.linalg.norm(up)
+def _along(scene: _Scene, up: F64, source: str) -> Plane:
+    """Keep the direction that the user or the file's format states, and find the ground along it.
+
+    Formats that define their z as height (LAS with its coordinate system) are not asked twice: in
+    small or sparse clouds the points are the weaker witness.
+    """
+    up = up / np.linalg.norm(up)
     hypotheses = rank(scene.surface, scene.surfaces, [Vertical(up, np.inf)], None)
     terrain = next((h.terrain for h in hypotheses if h.up @ up > 0), None)
-    return to_record(scene, up, terrain, "config", {})
+    return to_record(scene, up, terrain, source, {})
 
 
 def to_record(
@@ -178,11 +187,13 @@ def to_record(
 ) -> Plane:
     """Describe the ground: its level plane, and how much of the scene's surface it is."""
     points, voxel = scene.surface.points, scene.surface.voxel
-    distance = SIGMAS * voxel if terrain is None else terrain.plane.inlier_distance
-    members = np.ones(len(points), bool) if terrain is None else terrain.members
-    level = lowest_level(points[members], up, voxel, distance)
     if terrain is None:
+        distance = SIGMAS * voxel
+        level = lowest_level(points, up, voxel, distance)
         members = np.abs(points @ up - level) < distance
+    else:
+        distance, members = terrain.plane.inlier_distance, terrain.members
+        level = _lowest_piece(scene.surface, members, up)
     x, y, z = up.tolist()
     return Plane(
         normal=(x, y, z),
@@ -194,6 +205,14 @@ def to_record(
         up_source=source,
         evidence=tuple(Evidence(name, float(value)) for name, value in evidence.items()),
     )
+
+
+def _lowest_piece(surface: Surface, members: NDArray[np.bool_], up: F64) -> float:
+    """Median height of the lowest connected piece of the ground that is not small."""
+    labels, heights = surface.groups(members), surface.points[members] @ up
+    sizes = np.bincount(labels)
+    notable = np.flatnonzero(sizes >= NOTABLE * sizes.max())
+    return min(float(np.median(heights[labels == piece])) for piece in notable)
 
 
 def format_vector(vector: F64) -> str:

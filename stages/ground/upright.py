@@ -108,7 +108,8 @@ def rank(
     for signed in (terrains, tuple(terrain.flipped() for terrain in terrains)):
         found = scene_evidence(surface, signed)
         for vertical, terrain, area, evidence in zip(axes, signed, areas, found, strict=True):
-            likelihood = float(np.exp((vertical.support - verticals[0].support) / SUPPORT_SCALE))
+            loss = 0.0 if vertical is verticals[0] else verticals[0].support - vertical.support
+            likelihood = float(np.exp(-loss / SUPPORT_SCALE))
             if vertical.convention is not None and vertical.convention[2] == 1:
                 evidence["file's z"] = CONVENTIONAL * float(np.sign(terrain.up[2]))
             if cameras is not None:
