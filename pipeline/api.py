@@ -30,11 +30,12 @@ from spinpipe import schemas
 from spinpipe.pipeline.config import RunConfig, load_config
 from spinpipe.pipeline.context import RunReader, thread_count
 from spinpipe.pipeline.engine import open_engine
+from spinpipe.pipeline.outputs import locked
 from spinpipe.pipeline.plan import make_plan
 from spinpipe.pipeline.results.complete import open_run_folder
 from spinpipe.pipeline.results.instances import ROW_COLUMNS, row
 from spinpipe.pipeline.run_folder import RunFolder
-from spinpipe.pipeline.runner import Runner, locked
+from spinpipe.pipeline.runner import Runner
 from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
 from spinpipe.schemas.records import F64, U8, Detection, ObjectModel
 from spinpipe.schemas.topics import Topic, topic_named
@@ -216,7 +217,7 @@ def _model(name: str, source: ModelSource, place: Path) -> dict[str, Any]:
 def _compute(config: RunConfig, folder: RunFolder) -> Found:
     steps = make_plan(config, folder)
     threads = thread_count(config.execution.threads)
-    with locked(folder), open_engine(config.execution, threads) as engine:
+    with locked(folder.path), open_engine(config.execution, threads) as engine:
         reports = Runner(config, folder, engine, Console(quiet=True)).run(steps)
         read = RunReader(folder)
         models = {model.name: model for model in read(schemas.MODELS)}

@@ -70,6 +70,9 @@ RerunOption = Annotated[
         help="save: run.rrd in the run's folder; spawn: a viewer; connect: a running viewer.",
     ),
 ]
+ForceOption = Annotated[
+    bool, typer.Option("--force", help="Replace files that are not from spinpipe.")
+]
 
 
 @app.command()
@@ -80,6 +83,7 @@ def run(
     start: FromOption = None,
     until: UntilOption = None,
     rerun: RerunOption = RerunMode.save,
+    force: ForceOption = False,
 ) -> None:
     """Run a config; what did not change since the last run is reused.
 
@@ -88,7 +92,7 @@ def run(
     """
     from spinpipe.pipeline.commands import run_command
 
-    run_command(config, output, overrides or [], start, until, rerun.value)
+    run_command(config, output, overrides or [], start, until, rerun.value, force)
 
 
 @app.command()
@@ -110,11 +114,12 @@ def init(
     path: Annotated[Path, typer.Argument(metavar="[CONFIG]")] = Path("config.toml"),
     scene: Annotated[str, typer.Option(help="The reconstruction: PLY, LAS or COLMAP.")] = "",
     model: Annotated[str, typer.Option(help="What to find: a mesh or a cloud.")] = "",
+    force: ForceOption = False,
 ) -> None:
     """Write a commented config, and an example scene if none is given."""
     from spinpipe.pipeline.commands import init_command
 
-    init_command(path, scene, model)
+    init_command(path, scene, model, force)
 
 
 @app.command()
@@ -123,11 +128,12 @@ def demo(
     noise: Annotated[float, typer.Option(min=0.0, max=5.0, help="Gaussian noise, metres.")] = 0.0,
     start: FromOption = None,
     rerun: RerunOption = RerunMode.save,
+    force: ForceOption = False,
 ) -> None:
     """Make the paper's artificial scene and run the pipeline on it."""
     from spinpipe.pipeline.commands import demo_command
 
-    demo_command(output, noise, start, rerun.value)
+    demo_command(output, noise, start, rerun.value, force)
 
 
 @app.command()
@@ -146,11 +152,12 @@ def record(
         Path | None,
         typer.Option(metavar="CSV", help="Labels, see eval: found, missed and false coloured."),
     ] = None,
+    force: ForceOption = False,
 ) -> None:
     """Draw a run's MCAP files into a Rerun recording, without running anything again."""
     from spinpipe.pipeline.commands import record_command
 
-    record_command(folder, rerun.value, truth)
+    record_command(folder, rerun.value, truth, force)
 
 
 @app.command()
@@ -198,11 +205,12 @@ def diff(
     recording: Annotated[
         Path | None, typer.Option("--record", metavar="RRD", help="Draw both into a recording.")
     ] = None,
+    force: ForceOption = False,
 ) -> None:
     """Compare what two runs accepted: gained, lost, moved, of another type."""
     from spinpipe.pipeline.results.diff import diff_command
 
-    diff_command(before, after, recording)
+    diff_command(before, after, recording, force)
 
 
 @app.command()
@@ -215,6 +223,7 @@ def export(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="(RUN/export.<format>)")
     ] = None,
+    force: ForceOption = False,
 ) -> None:
     """Write what was found for another tool, one object an id.
 
@@ -224,7 +233,7 @@ def export(
     """
     from spinpipe.pipeline.results.export import export_command
 
-    export_command(folder, name.value, [fate.strip() for fate in fates.split(",")], output)
+    export_command(folder, name.value, [fate.strip() for fate in fates.split(",")], output, force)
 
 
 @app.command("eval")
@@ -251,12 +260,13 @@ def evaluate(
     picture: Annotated[
         Path | None, typer.Option(metavar="PNG", help="Draw the scene from above.")
     ] = None,
+    force: ForceOption = False,
 ) -> None:
     """Compare a run with labels: recall, precision, errors and misses."""
     from spinpipe.pipeline.evaluation.evaluate import eval_command
 
     rule = None if by_model is None else "name" if by_model else "any"
-    eval_command(folder, truth, radius, rule, frame.value, json, picture)
+    eval_command(folder, truth, radius, rule, frame.value, json, picture, force)
 
 
 @app.command()
@@ -268,11 +278,12 @@ def plant(
     seed: Annotated[int, typer.Option(min=0, help="Of where they stand.")] = 0,
     picture: Annotated[bool, typer.Option(help="Draw RUN/plant/plant.png.")] = True,
     rerun: RerunOption = RerunMode.off,
+    force: ForceOption = False,
 ) -> None:
     """Plant the models into their scene and look: recall without labels."""
     from spinpipe.pipeline.evaluation.plant import plant_command
 
-    plant_command(path, count, seed, picture, rerun.value)
+    plant_command(path, count, seed, picture, rerun.value, force)
 
 
 @app.command()
@@ -286,11 +297,12 @@ def paper(
     ] = None,
     model: Annotated[Path | None, typer.Option(metavar="FILE", help="A car's mesh for it.")] = None,
     truth: Annotated[Path | None, typer.Option(metavar="CSV", help="Its labels.")] = None,
+    force: ForceOption = False,
 ) -> None:
     """Repeat the paper's experiments; print its numbers beside ours."""
     from spinpipe.pipeline.evaluation.paper import paper_command
 
-    paper_command(output, scene, model, truth)
+    paper_command(output, scene, model, truth, force)
 
 
 model_app = typer.Typer(no_args_is_help=True, help="Make models of objects.")
@@ -311,11 +323,12 @@ def model_cut(
     out: Annotated[Path, typer.Option(metavar="PLY", help="The file to write.")] = Path(
         "object.ply"
     ),
+    force: ForceOption = False,
 ) -> None:
     """Cut one instance out of a run's scene, to look for more of its kind."""
     from spinpipe.pipeline.cut import cut_command
 
-    cut_command(folder, at, size, heading, name, out)
+    cut_command(folder, at, size, heading, name, out, force)
 
 
 def _print_version(value: bool) -> None:

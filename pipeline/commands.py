@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
@@ -12,15 +12,18 @@ from rich.console import Console
 from spinpipe.pipeline.atomic import write_atomically
 from spinpipe.pipeline.config import ConfigError, RunConfig, load_config
 from spinpipe.pipeline.context import RunReader, thread_count
-from spinpipe.pipeline.demo import DEMO_CONFIG, write_example
+from spinpipe.pipeline.demo import DEMO_CONFIG, EXAMPLE_FILES, write_example
 from spinpipe.pipeline.drawing.recording import RecordMode
 from spinpipe.pipeline.engine import open_engine
 from spinpipe.pipeline.init import commented_config
+from spinpipe.pipeline.outputs import locked, require_new, write_new
 from spinpipe.pipeline.plan import Step, make_plan
-from spinpipe.pipeline.recorder import recorder
-from spinpipe.pipeline.results.write import write_results
+from spinpipe.pipeline.recorder import recorder, recording_key
+from spinpipe.pipeline.results.complete import open_run_folder
+from spinpipe.pipeline.results.write import results_key, write_results
 from spinpipe.pipeline.run_folder import RunFolder
-from spinpipe.pipeline.runner import Runner, StageReport, locked, report_document
+from spinpipe.pipeline.run_state import keys_in, require_inputs_apart, write_config
+from spinpipe.pipeline.runner import Runner, report_document
 from spinpipe.pipeline.tables import detection_table, plan_table, stage_tables
 from spinpipe.stages.stage import StageError
 
@@ -35,10 +38,11 @@ def run_command(
     start: str | None,
     until: str | None,
     rerun: RecordMode,
+    force: bool,
 ) -> None:
     """``spinpipe run``."""
     config = load_config(path, overrides)
-    execute(config, run_folder(config, output), start, until, rerun)
+    execute(config, run_folder(config, output), start, until, rerun, force=force)
 
 
 def execute(
@@ -49,49 +53,47 @@ def execute(
     rerun: RecordMode,
     *,
     quiet: bool = False,
+    force: bool = False,
 ) -> None:
-    """Run a config in a folder and, unless ``quiet``, print what was found."""
+    """Run a config in a folder and, unless ``quiet``, print what was found.
+
+    ``force`` lets it replace files in the folder that are not from spinpipe, but never an input.
+    """
     console = Console(quiet=quiet)
-    steps = make_plan(config, folder, start=start, until=until)
-    with locked(folder):
-        text = config.to_toml()
-        write_atomically(folder.config, lambda file: file.write_text(text, encoding="utf-8"))
+    require_inputs_apart(config, folder)
+    with locked(folder.path, force=force) as outputs:
+        steps = make_plan(config, folder, start=start, until=until)
+        outputs.claim(*folder.files)
+        keys = keys_in(folder, steps)
+        if any(step.action == "run" for step in steps):  # they would no longer follow from it
+            outputs.discard(*folder.results, folder.recording)
+        if not outputs.current(folder.recording, recording_key(config, keys)):
+            outputs.discard(folder.recording)
+        key = results_key(config, keys)
+        outputs.discard(*(path for path in folder.results if not outputs.current(path, key)))
         done: list[str] = []
         read = RunReader(folder, done)
         stages = [step.stage.name for step in steps if step.action != "skip"]
-        unchanged = all(step.action == "reuse" for step in steps)
         with (
             open_engine(config.execution, thread_count(config.execution.threads)) as engine,
-            recorder(
-                config.run.name,
-                rerun,
-                folder.recording,
-                config.record.preview_points,
-                keep=unchanged,
-            ) as draw,
+            recorder(config, folder, rerun, outputs, keys) as draw,
         ):
 
             def finished(stage: str) -> None:
                 done.append(stage)
+                write_config(config, folder, steps, done, outputs)
                 draw(stage, read)
 
             reports = Runner(config, folder, engine, console).run(steps, finished)
-        report = _write_report(config, folder, reports)
+        report = report_document(config, reports)
+        text = json.dumps(report, indent=1) + "\n"
+        outputs.write(folder.report, "", lambda file: file.write_text(text, encoding="utf-8"))
         if stages[-1:] == ["verify"]:
-            detections = write_results(config, read, folder, report, keep=unchanged)
+            detections = write_results(config, read, folder, report, outputs, key)
             console.print(detection_table(detections))
             console.print(f"results in {folder.path}/", highlight=False, soft_wrap=True)
         else:
             console.print(f"stopped after {stages[-1]}; results in {folder.path}/", highlight=False)
-
-
-def _write_report(
-    config: RunConfig, folder: RunFolder, reports: list[StageReport]
-) -> dict[str, Any]:
-    report = report_document(config, reports)
-    text = json.dumps(report, indent=1) + "\n"
-    write_atomically(folder.report, lambda file: file.write_text(text, encoding="utf-8"))
-    return report
 
 
 def run_folder(config: RunConfig, output: Path | None) -> RunFolder:
@@ -111,29 +113,40 @@ def plan_command(
     console.print(f"in {folder.path}/", highlight=False, soft_wrap=True)
 
 
-def demo_command(output: Path | None, noise_m: float, start: str | None, rerun: RecordMode) -> None:
+def demo_command(
+    output: Path | None, noise_m: float, start: str | None, rerun: RecordMode, force: bool
+) -> None:
     """``spinpipe demo``."""
     folder = RunFolder(output or Path("recordings/demo"))
-    write_example(folder.path, noise_m)
     path = folder.path / "config.toml"
-    write_atomically(path, lambda file: file.write_text(DEMO_CONFIG, encoding="utf-8"))
-    execute(load_config(path), folder, start, None, rerun)
+    with locked(folder.path, force=force) as outputs:
+        files = (*(folder.path / name for name in EXAMPLE_FILES), path)
+        outputs.claim(*files)
+        for file in files:
+            if outputs.edited(file) and not force:
+                raise StageError(f"{file}: was edited; demo would replace it: use --force")
+        write_example(folder.path, noise_m)
+        write_atomically(path, lambda file: file.write_text(DEMO_CONFIG, encoding="utf-8"))
+        for file in files:
+            outputs.written(file, "")
+    execute(load_config(path), folder, start, None, rerun, force=force)
 
 
-def init_command(path: Path, scene: str, model: str) -> None:
+def init_command(path: Path, scene: str, model: str, force: bool) -> None:
     """``spinpipe init``."""
     console = Console()
-    if path.exists():
-        raise ConfigError(f"{path}: exists already; name another file or remove it")
+    require_new(path, force=force)
     if bool(scene) != bool(model):
         raise ConfigError("init: give both --scene and --model, or neither for a small example")
     if not scene:
-        write_example(path.parent / "example")
+        example = path.parent / "example"
+        for name in EXAMPLE_FILES:
+            require_new(example / name, force=force)
+        write_example(example)
         scene, model = "example/scene.ply", "example/model_1.ply"
-        console.print(f"wrote {path.parent / 'example'}/: the artificial scene", highlight=False)
+        console.print(f"wrote {example}/: the artificial scene", highlight=False)
     text = commented_config(path.name, scene, model)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, lambda file: file.write_text(text, encoding="utf-8"))
+    write_new(path, lambda file: file.write_text(text, encoding="utf-8"), force=force)
     console.print(f"wrote {path}; now: spinpipe run {path}", highlight=False, soft_wrap=True)
 
 
@@ -144,28 +157,20 @@ def stages_command() -> None:
         console.print(table)
 
 
-def record_command(path: Path, rerun: RecordMode, labels: Path | None = None) -> None:
+def record_command(path: Path, rerun: RecordMode, labels: Path | None, force: bool) -> None:
     """``spinpipe record``."""
-    folder = RunFolder(path)
-    if not folder.config.exists():
-        raise ConfigError(f"{path}: no run here: {folder.config.name} is missing")
-    config = load_config(folder.config)
-    read = RunReader(folder)
-    stages = [name for name in config.stages if folder.mcap(name).exists()]
-    if not stages:
+    folder, config = open_run_folder(path)
+    keys = keys_in(folder)
+    if not keys:
         raise StageError(f"{path}: no stage is complete yet; run the config first")
-    with (
-        locked(folder),
-        recorder(
-            config.run.name,
-            rerun,
-            folder.recording,
-            config.record.preview_points,
-            truth=_truth(folder, labels),
-        ) as draw,
-    ):
-        for stage in stages:
-            draw(stage, read)
+    truth = _truth(folder, labels)
+    with locked(folder.path, force=force) as outputs:
+        outputs.claim(folder.recording)
+        outputs.discard(folder.recording)
+        with recorder(config, folder, rerun, outputs, keys, truth) as draw:
+            read = RunReader(folder)
+            for stage in keys:
+                draw(stage, read)
     if rerun == "save":
         Console().print(f"wrote {folder.recording}", highlight=False, soft_wrap=True)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 import tomli_w
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, field_validator
 from pydantic.fields import FieldInfo
 
 from spinpipe.stages import STAGES
@@ -27,6 +28,13 @@ class RunSection(Section):
 
     name: str = Field("", description="folder below recordings/; the config's file name if empty")
     seed: int = Field(0, ge=0, lt=2**32, description="of every random number of the run")
+
+    @field_validator("name")
+    @classmethod
+    def _one_folder(cls, name: str) -> str:
+        if re.search(r"[/\\\x00-\x1f]", name) or name in (".", "..") or len(name) > 100:
+            raise ValueError("must be the name of one folder: no '/', no '..', at most 100 letters")
+        return name
 
 
 class ExecutionSection(Section):

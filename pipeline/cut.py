@@ -9,9 +9,9 @@ import numpy as np
 from pydantic import ValidationError
 from rich.console import Console
 
-from spinpipe.pipeline.atomic import write_atomically
 from spinpipe.pipeline.config import ConfigError
 from spinpipe.pipeline.context import RunReader
+from spinpipe.pipeline.outputs import require_new, write_new
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.pipeline.scenes.cutting import around_box, cut_instance
 from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
@@ -26,7 +26,9 @@ MIN_POINTS = 100
 """Fewer points say little about a shape."""
 
 
-def cut_command(path: Path, at: str, size: str, heading_deg: float, name: str, out: Path) -> None:
+def cut_command(
+    path: Path, at: str, size: str, heading_deg: float, name: str, out: Path, force: bool
+) -> None:
     """``spinpipe model cut``."""
     try:
         ModelConfig(name=name, path=out)
@@ -39,8 +41,9 @@ def cut_command(path: Path, at: str, size: str, heading_deg: float, name: str, o
         raise ConfigError(f"--size {size}: lengths must be above 0")
     if out.suffix.lower() != ".ply":
         raise ConfigError(f"--out {out}: name a .ply file")
+    require_new(out, force=force)
     xyz, rgb = cut_model(RunFolder(path), place, np.array(extent), heading_deg)
-    _write(out, name, xyz, rgb)
+    _write(out, name, xyz, rgb, force)
     console = Console()
     size_text = " x ".join(f"{v:.2f}" for v in np.ptp(xyz, axis=0))
     console.print(f"{name}: {len(xyz)} points, {size_text} m; wrote {out}", highlight=False)
@@ -118,11 +121,10 @@ def _inside(cloud: WorldCloud, low: F64, high: F64) -> tuple[F64, U8]:
     return np.concatenate(found), np.concatenate(colours)
 
 
-def _write(path: Path, name: str, xyz: F64, rgb: U8) -> None:
+def _write(path: Path, name: str, xyz: F64, rgb: U8, force: bool) -> None:
     comment = f"{name}: cut from a scene, object frame, metres, z up, front at +x"
-    path.parent.mkdir(parents=True, exist_ok=True)
     rows = cloud_rows(xyz, rgb)
-    write_atomically(path, lambda partial: write_ply(partial, rows, comment=comment))
+    write_new(path, lambda partial: write_ply(partial, rows, comment=comment), force=force)
 
 
 def _numbers(text: str, option: str, counts: tuple[int, ...], form: str) -> list[float]:

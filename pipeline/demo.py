@@ -13,6 +13,7 @@ from spinpipe.pipeline.atomic import write_atomically
 from spinpipe.pipeline.scenes.artificial import SEED, ArtificialScene, make_scene
 from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
 
+EXAMPLE_FILES = ("scene.ply", "model_1.ply", "model_2.ply", "truth.csv")
 SCENE_POINTS = 250_000
 """[Bovenkamp 2010, section 3.1]."""
 

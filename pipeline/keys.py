@@ -47,9 +47,20 @@ def stage_parts(
     return parts | {f"stage {name}": key for name, key in inputs.items()}
 
 
+def input_paths(stage: Stage, section: BaseModel) -> list[tuple[str, Path]]:
+    """Files and folders that a stage reads, with the keys that name them."""
+    values = _flatten(section, f"[{stage.name}]")
+    return [(name, value) for name, value in values if isinstance(value, Path)]
+
+
+def content_hash(content: bytes) -> str:
+    """Key of something by its content: 32 hexadecimal digits."""
+    return hashlib.sha256(content).hexdigest()[:32]
+
+
 def stage_key(parts: Mapping[str, str]) -> str:
     """Key of a stage from its parts: 32 hexadecimal digits."""
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
+    return content_hash(json.dumps(parts, sort_keys=True).encode())
 
 
 def changed_parts(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
@@ -92,6 +103,16 @@ def code_digest(*files: Path) -> str:
         tree = ast.parse(file.read_bytes())
         _drop_docstrings(tree)
         digest.update(f"{file.name} {ast.dump(tree)}\n".encode())
+    return digest.hexdigest()
+
+
+@cache
+def content_digest(folder: str) -> str:
+    """Digest of the code in a folder of pipeline/ as it is: for what is quickly made again."""
+    digest = hashlib.sha256()
+    for file in sorted((Path(__file__).parent / folder).rglob("*")):
+        if file.suffix in (".py", ".html"):
+            digest.update(file.name.encode() + b"\0" + file.read_bytes())
     return digest.hexdigest()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from spinpipe.pipeline.outputs import LOCK
 from spinpipe.stages import STAGES
 
 
@@ -30,7 +31,7 @@ class RunFolder:
     @property
     def lock(self) -> Path:
         """Held by the process that works in this folder."""
-        return self.path / ".lock"
+        return self.path / LOCK
 
     @property
     def recording(self) -> Path:
@@ -77,7 +78,14 @@ class RunFolder:
         """Everything on one page."""
         return self.path / "report.html"
 
-    def discard_results(self) -> None:
-        """Remove the results: what they were made from is about to change."""
-        for path in (*self.path.glob("detections.*"), self.report_html):
-            path.unlink(missing_ok=True)
+    @property
+    def results(self) -> tuple[Path, ...]:
+        """What is made from the last stage."""
+        tables = (self.detections_json, self.detections_csv, self.detections_ply)
+        return (*tables, self.detections_geojson, self.detections_png, self.report_html)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Everything that a run writes."""
+        stages = tuple(self.mcap(stage.name) for stage in STAGES)
+        return (*stages, *self.results, self.recording, self.config, self.report)

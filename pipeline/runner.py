@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
-import shutil
-import tempfile
 import time
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -72,7 +68,6 @@ class Runner:
                 continue
             self._say(step)
             if step.action == "run":
-                self._folder.discard_results()  # they would no longer follow from the files
                 self._run_stage(step, report)
             else:
                 self._require_unchanged(step)
@@ -97,17 +92,13 @@ class Runner:
         name = step.stage.name
         partial = self._folder.partial(name)
         self._set_aside(step)
-        writer = StageFileWriter(
-            partial, {"stage": name, "key": step.key, "parts": json.dumps(step.parts)}
-        )
+        about = {"stage": name, "key": step.key, "parts": json.dumps(step.parts)}
+        writer = StageFileWriter(partial, about | {"section": step.config.model_dump_json()})
         for topic in step.stage.outputs:
             writer.declare(topic)
         began = time.perf_counter()
         try:
-            with (
-                tempfile.TemporaryDirectory(prefix=".scratch-", dir=self._folder.path) as scratch,
-                stage_progress(self._console, name) as progress,
-            ):
+            with stage_progress(self._console, name) as progress:
                 context = RunContext(
                     stage=step.stage,
                     config=step.config,
@@ -117,7 +108,7 @@ class Runner:
                     writer=writer,
                     engine=self._engine,
                     memory_bytes=int(self._config.execution.memory_gb * 1e9),
-                    scratch=Path(scratch),
+                    scratch=self._folder.path,
                     progress=progress,
                 )
                 step.stage.run(context)
@@ -154,29 +145,6 @@ class Runner:
 
         if partial.exists() and length(partial) >= length(interrupted):
             partial.replace(interrupted)
-
-
-@contextmanager
-def locked(folder: RunFolder) -> Generator[None]:
-    """Hold the folder for this process.
-
-    Raises
-    ------
-    StageError
-        If another process works in it.
-    """
-    folder.path.mkdir(parents=True, exist_ok=True)
-    with folder.lock.open("w") as stream:
-        try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise StageError(
-                f"{folder.path}: another spinpipe works in this folder; "
-                "wait for it or choose another with --output"
-            ) from None
-        for stale in folder.path.glob(".scratch-*"):
-            shutil.rmtree(stale, ignore_errors=True)
-        yield
 
 
 def library_versions() -> dict[str, str]:

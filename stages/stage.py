@@ -74,7 +74,7 @@ class Context(Protocol[C]):
 
     @property
     def scratch(self) -> Path:
-        """A folder for temporary files of this stage, removed when the stage ends."""
+        """A folder for temporary files, which have no name so that none can stay behind."""
         ...
 
     def read(self, topic: Topic[T]) -> Sequence[T]:

@@ -74,7 +74,7 @@ def record_difference(
         eye_controls=scene_eye(scene_corners(read)).controls(),
     )
     rec.send_blueprint(rrb.Blueprint(view, collapse_panels=True))
-    close_recording(rec)
+    close_recording(rec, path)
 
 
 def _boxes(detections: Sequence[Detection], colour: palette.Colour, radius: float) -> rr.Boxes3D:

@@ -6,6 +6,7 @@ wait for it.
 
 from __future__ import annotations
 
+import os
 import socket
 import sys
 from pathlib import Path
@@ -23,6 +24,11 @@ if TYPE_CHECKING:
 
 APPLICATION_ID = "spinpipe"
 DEFAULT_URL = "rerun+http://127.0.0.1:9876/proxy"
+
+_FLUSH_S = 10.0
+"""Without a byte written meanwhile nothing more will be."""
+_END, _END_BYTES = b"RRF2FOOT", 64
+"""How a complete file ends [Rerun 0.41, re_log_encoding]."""
 
 RecordMode = Literal["save", "spawn", "connect", "off"]
 
@@ -92,23 +98,33 @@ def record_stage(
         rec.send_blueprint(build_blueprint(read, preview_points))
 
 
-def close_recording(rec: rr.RecordingStream) -> None:
-    """Write everything out and end the recording: a file is complete then.
+def close_recording(rec: rr.RecordingStream, path: Path) -> None:
+    """Write everything out and end the recording: the file is complete then.
+
+    Rerun neither tells of a full disk nor comes back from one: the file must go on growing while
+    it is written out, and bear the mark of a complete one at its end.
 
     Raises
     ------
     StageError
         When the file could not be written. A viewer that was closed meanwhile is no error.
     """
-    try:
-        rec.flush()
-    except RuntimeError as error:
-        if "gRPC" not in str(error):
+    size = -1
+    while size < (size := path.stat().st_size):
+        try:
+            rec.flush(timeout_sec=_FLUSH_S)
+            break
+        except (RuntimeError, ValueError, TimeoutError) as error:
+            if "gRPC" in str(error):
+                break
+    rec.disconnect()
+    with path.open("rb") as file:
+        file.seek(-min(_END_BYTES, path.stat().st_size), os.SEEK_END)
+        if _END not in file.read():
             raise StageError(
-                f"the recording cannot be written: {error}; is the disk full?"
-            ) from error
-    finally:
-        rec.disconnect()
+                f"{path.with_suffix('')}: the recording could not be written in full; "
+                "is the disk full?"
+            )
 
 
 def _check_viewer(url: str) -> None:

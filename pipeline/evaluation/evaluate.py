@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 from rich.console import Console
 
-from spinpipe.pipeline.atomic import write_atomically
-from spinpipe.pipeline.config import ConfigError
 from spinpipe.pipeline.context import RunReader
 from spinpipe.pipeline.evaluation.evaluation import (
     Rule,
@@ -25,6 +24,8 @@ from spinpipe.pipeline.evaluation.report import (
     evaluation_tables,
 )
 from spinpipe.pipeline.evaluation.truth import read_truth
+from spinpipe.pipeline.outputs import locked, require_new, write_new
+from spinpipe.pipeline.results.complete import open_complete
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.schemas import DETECTIONS, MODELS, SCENE, UPRIGHT
 from spinpipe.stages.stage import StageError
@@ -53,7 +54,7 @@ def evaluate_run(
     StageError
         If the run is not complete, or the truth is unusable.
     """
-    require_complete(folder)
+    _, config = open_complete(folder.path)
     read = RunReader(folder)
     detections = list(read(DETECTIONS))
     models = [model.name for model in read(MODELS)]
@@ -66,7 +67,7 @@ def evaluate_run(
     undecided = [i for i, d in enumerate(detections) if d.fate == "ambiguous"]
     score = score_detections(sought, detections, accepted, radius_m, rule)
     return Evaluation(
-        run=json.loads(folder.report.read_text(encoding="utf-8"))["run"],
+        run=config.run.name,
         rule=rule,
         radius_m=radius_m,
         truths=sought,
@@ -90,14 +91,23 @@ def eval_command(
     coordinates: Literal["scene", "world"],
     json_path: Path | None,
     picture: Path | None,
+    force: bool,
 ) -> None:
     """``spinpipe eval``."""
     folder = RunFolder(path)
+    for named in (json_path, picture):
+        if named is not None:
+            require_new(named, force=force)
     evaluation = evaluate_run(folder, truth, radius_m=radius_m, rule=rule, coordinates=coordinates)
     console = Console()
     console.print(evaluation_tables(evaluation), highlight=False)
     written = json_path or folder.path / "eval.json"
-    write_evaluation(evaluation, written)
+    if json_path is None:
+        with locked(folder.path, force=force) as outputs:
+            outputs.claim(written)
+            outputs.write(written, "", partial(write_evaluation, evaluation))
+    else:
+        write_new(json_path, partial(write_evaluation, evaluation), force=force)
     console.print(f"wrote {written}", highlight=False, soft_wrap=True)
     if picture is not None:
         write_picture(evaluation, RunReader(folder), picture)
@@ -107,12 +117,4 @@ def eval_command(
 def write_evaluation(evaluation: Evaluation, path: Path) -> None:
     """Write eval.json."""
     text = json.dumps(evaluation_document(evaluation), indent=1, allow_nan=False) + "\n"
-    write_atomically(path, lambda file: file.write_text(text, encoding="utf-8"))
-
-
-def require_complete(folder: RunFolder) -> None:
-    """Refuse a folder that does not hold all results of a run."""
-    if not folder.config.exists():
-        raise ConfigError(f"{folder.path}: no run here: {folder.config.name} is missing")
-    if not folder.mcap("verify").exists() or not folder.report.exists():
-        raise StageError(f"{folder.path}: the run is not complete; run its config to the end")
+    path.write_text(text, encoding="utf-8")

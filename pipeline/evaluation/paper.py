@@ -32,6 +32,7 @@ from spinpipe.pipeline.evaluation.experiments import (
 )
 from spinpipe.pipeline.evaluation.paper_report import Section, markdown, section_table
 from spinpipe.pipeline.evaluation.picture import write_picture
+from spinpipe.pipeline.outputs import locked
 from spinpipe.pipeline.run_folder import RunFolder
 
 INTRO = """\
@@ -42,18 +43,25 @@ a tent, trees, poles, boxes, a house); it is not the paper's own, so numbers com
 "Found" counts cars with a candidate or a detection within 1.5 m, one each; "false" are those on no
 car. Which way is up is known, as in the paper. "The paper's recipe" is its scan and clustering with
 its numbers; "spinpipe" is the whole pipeline with its defaults."""
+FILES = (
+    *("paper.md", "paper_scene.png", "paper_noise_found.png", "paper_noise_false.png"),
+    "paper_residuals.png",
+)
 CARS = 4
 LARGEST_SHOWN = 12
 """Counts above are drawn at the border of a figure: they reach hundreds."""
 
 
-def paper_command(output: Path, scene: Path | None, model: Path | None, truth: Path | None) -> None:
+def paper_command(
+    output: Path, scene: Path | None, model: Path | None, truth: Path | None, force: bool
+) -> None:
     """``spinpipe paper``."""
     own = (scene, model, truth)
     if any(own) and not all(own):
         raise ConfigError("paper: --scene, --model and --truth belong together: give all or none")
     console = Console()
-    output.mkdir(parents=True, exist_ok=True)
+    with locked(output, force=force) as outputs:
+        outputs.claim(*(output / name for name in FILES))
     sections: list[Section] = []
     with tempfile.TemporaryDirectory(prefix=".scratch-", dir=output) as scratch:
         for section in _sections(Path(scratch), output, scene, model, truth):

@@ -16,9 +16,11 @@ from spinpipe.pipeline.commands import execute, run_folder
 from spinpipe.pipeline.config import load_config
 from spinpipe.pipeline.context import RunReader
 from spinpipe.pipeline.drawing.recording import RecordMode
-from spinpipe.pipeline.evaluation.evaluate import evaluate_run, require_complete
+from spinpipe.pipeline.evaluation.evaluate import evaluate_run
 from spinpipe.pipeline.evaluation.picture import write_picture
 from spinpipe.pipeline.evaluation.plant_report import plant_document, plant_table
+from spinpipe.pipeline.outputs import locked
+from spinpipe.pipeline.results.complete import open_complete
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.pipeline.scenes.free_places import Footprint, Place, blocked_cells, free_places
 from spinpipe.pipeline.scenes.ground_grid import GroundGrid, ground_grid, ground_spread
@@ -29,6 +31,7 @@ from spinpipe.schemas.records import F32, ObjectModel
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.stage import StageError
 
+FILES = ("scene.ply", "truth.csv", "config.toml", "plant.json", "plant.png")
 CELLS_ACROSS = 8
 """Cells of the ground across the narrow side of the smallest model."""
 MOST_CELLS = 4000
@@ -37,20 +40,22 @@ NEIGHBOURS = 8
 """Of a point, that tell how far apart points are."""
 
 
-def plant_command(path: Path, count: int, seed: int, picture: bool, rerun: RecordMode) -> None:
+def plant_command(
+    path: Path, count: int, seed: int, picture: bool, rerun: RecordMode, force: bool
+) -> None:
     """``spinpipe plant``."""
     if path.is_dir():
-        folder = RunFolder(path)
-        require_complete(folder)
-        config = load_config(folder.config)
+        folder, config = open_complete(path)
     else:
         config = load_config(path)
         folder = run_folder(config, None)
-        execute(config, folder, None, None, rerun="off")
+        execute(config, folder, None, None, rerun="off", force=force)
     console = Console()
     planted = plant_objects(folder, count, np.random.default_rng(seed))
     console.print(f"planted {len(planted)} of {count} objects", highlight=False)
     target = folder.path / "plant"
+    with locked(target, force=force) as outputs:
+        outputs.claim(*(target / name for name in FILES))
     config = write_planted(folder, config, planted, target)
     console.print("looking for them ...", highlight=False)
     execute(config, RunFolder(target / "run"), None, None, rerun, quiet=True)

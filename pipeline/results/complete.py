@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from spinpipe.pipeline.config import ConfigError, RunConfig, load_config
+from spinpipe.pipeline.outputs import Outputs
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.stages.stage import StageError
 
@@ -20,6 +21,7 @@ def open_run_folder(path: Path) -> tuple[RunFolder, RunConfig]:
     folder = RunFolder(path)
     if not folder.config.exists():
         raise ConfigError(f"{path}: no run here: {folder.config.name} is missing")
+    Outputs(path).require_whole(folder.config)
     return folder, load_config(folder.config)
 
 

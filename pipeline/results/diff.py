@@ -13,6 +13,7 @@ from rich.text import Text
 from scipy.optimize import linear_sum_assignment
 
 from spinpipe.pipeline.context import RunReader
+from spinpipe.pipeline.outputs import write_new
 from spinpipe.pipeline.results.complete import open_complete
 from spinpipe.schemas import DETECTIONS, SCENE
 from spinpipe.schemas.records import Detection, Vector
@@ -34,7 +35,7 @@ class Difference:
     turn_deg: float = 0.0
 
 
-def diff_command(before: Path, after: Path, recording: Path | None) -> None:
+def diff_command(before: Path, after: Path, recording: Path | None, force: bool) -> None:
     """``spinpipe diff``."""
     folder_a, _ = open_complete(before)
     folder_b, config = open_complete(after)
@@ -45,7 +46,12 @@ def diff_command(before: Path, after: Path, recording: Path | None) -> None:
     if recording is not None:
         from spinpipe.pipeline.drawing.difference import record_difference
 
-        record_difference(RunReader(folder_b), differences, config, recording)
+        read = RunReader(folder_b)
+        write_new(
+            recording,
+            lambda partial: record_difference(read, differences, config, partial),
+            force=force,
+        )
         console.print(f"wrote {recording}", highlight=False, soft_wrap=True)
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
+import json
+from collections.abc import Mapping
 from typing import Any
 
-from spinpipe.pipeline.atomic import write_atomically
 from spinpipe.pipeline.config import RunConfig
+from spinpipe.pipeline.keys import content_digest, content_hash
+from spinpipe.pipeline.outputs import Outputs
 from spinpipe.pipeline.results import formats
 from spinpipe.pipeline.results.geojson import scene_crs
 from spinpipe.pipeline.results.instances import ReadTopic
@@ -16,13 +17,20 @@ from spinpipe.schemas import DETECTIONS, MODELS, SCENE
 from spinpipe.schemas.records import Detection
 
 
+def results_key(config: RunConfig, keys: Mapping[str, str]) -> str:
+    """What results are made from and how: keys of all stages by name, the code that writes them."""
+    code = [content_digest(folder) for folder in ("results", "drawing")]
+    text = json.dumps([dict(keys), config.run.name, code])
+    return content_hash(text.encode())
+
+
 def write_results(
     config: RunConfig,
     read: ReadTopic,
     folder: RunFolder,
     report: dict[str, Any],
-    *,
-    keep: bool = False,
+    outputs: Outputs,
+    key: str,
 ) -> list[Detection]:
     """Write the result files of a complete run and return all its detections.
 
@@ -30,25 +38,22 @@ def write_results(
     ----------
     config, read, folder : of the run.
     report : content of report.json.
-    keep : leave files as they are that are there: nothing has changed since.
+    outputs, key : of the folder, and of the results: files that are current are left as they are.
     """
     detections = list(read(DETECTIONS))
     models = {model.name: model for model in read(MODELS)}
 
-    def write(path: Path, fill: Callable[[Path], object]) -> None:
-        if not (keep and path.exists()):
-            write_atomically(path, fill)
-
     name = config.run.name
     every = formats.Export(name, detections, models, read)
     accepted = formats.Export(name, [d for d in detections if d.fate == "accepted"], models, read)
-    write(folder.detections_json, lambda path: formats.write_json(every, path))
-    write(folder.detections_csv, lambda path: formats.write_csv(accepted, path))
-    write(folder.detections_ply, lambda path: formats.write_meshes(accepted, path))
+    write = outputs.write
+    write(folder.detections_json, key, lambda path: formats.write_json(every, path))
+    write(folder.detections_csv, key, lambda path: formats.write_csv(accepted, path))
+    write(folder.detections_ply, key, lambda path: formats.write_meshes(accepted, path))
     if scene_crs(read(SCENE)[0]):
-        write(folder.detections_geojson, lambda path: formats.write_geojson(accepted, path))
-    if not (keep and folder.detections_png.exists() and folder.report_html.exists()):
-        _write_pictures(config, read, folder, report, every)
+        write(folder.detections_geojson, key, lambda path: formats.write_geojson(accepted, path))
+    if not all(outputs.current(p, key) for p in (folder.detections_png, folder.report_html)):
+        _write_pictures(config, read, folder, report, every, outputs, key)
     return detections
 
 
@@ -58,15 +63,18 @@ def _write_pictures(
     folder: RunFolder,
     report: dict[str, Any],
     every: formats.Export,
+    outputs: Outputs,
+    key: str,
 ) -> None:
     from spinpipe.pipeline.results.report import write_report
     from spinpipe.pipeline.results.scene_map import scene_view, write_scene_map
 
     view = scene_view(read, every.detections)
-    write_atomically(
-        folder.detections_png, lambda path: write_scene_map(view, every.detections, path)
+    outputs.write(
+        folder.detections_png, key, lambda path: write_scene_map(view, every.detections, path)
     )
-    write_atomically(
+    outputs.write(
         folder.report_html,
+        key,
         lambda path: write_report(read, config, every.detections, every.models, view, report, path),
     )

@@ -93,7 +93,7 @@ def _write_tiles(
     low: list[F32] = []
     high: list[F32] = []
     counts: list[int] = []
-    with ScatterFile(ctx.scratch / "points", split.leaves) as scatter:
+    with ScatterFile(ctx.scratch, split.leaves) as scatter:
         sorting = ctx.progress("points sorted", source.points)
         for xyz, rgb, count in finite(source, _chunk_points(ctx.memory_bytes)):
             sorting.advance(count)

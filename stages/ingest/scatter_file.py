@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryFile
 from types import TracebackType
 
 import numpy as np
@@ -16,13 +17,14 @@ class ScatterFile:
 
     Parameters
     ----------
-    path : Path
-        A file that is made anew.
+    folder : Path
+        On the disk that has room for it. The file has no name: whatever ends the process, nothing
+        stays behind.
     leaves : int
     """
 
-    def __init__(self, path: Path, leaves: int) -> None:
-        self._file = path.open("w+b")
+    def __init__(self, folder: Path, leaves: int) -> None:
+        self._file = TemporaryFile("w+b", dir=folder)  # noqa: SIM115  closed by __exit__
         self._leaves = leaves
         self._starts: list[NDArray[np.int64]] = []
         self._written = 0

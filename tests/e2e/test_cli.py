@@ -68,7 +68,7 @@ def test_demo_leaves_the_files_of_a_run_and_nothing_else(demo: tuple[Outcome, Pa
     example = {"scene.ply", "model_1.ply", "model_2.ply", "truth.csv", "config.toml"}
     results = {"detections.json", "detections.csv", "detections.ply", "report.json"}
     results |= {"detections.png", "report.html"}
-    others = {"run.rrd", "config.resolved.toml", ".lock"}
+    others = {"run.rrd", "config.resolved.toml", ".lock", ".spinpipe"}
     assert {path.name for path in output.iterdir()} == {*FILES, *example, *results, *others}
 
 
@@ -142,7 +142,7 @@ def test_init_for_ones_own_scene_runs_to_the_end(cli: Cli, yard: Yard, tmp_path:
 def test_init_overwrites_nothing(cli: Cli, tmp_path: Path) -> None:
     (tmp_path / "config.toml").write_text("mine")
     outcome = cli("init", cwd=tmp_path)
-    assert_one_line(outcome, 2, "exists already")
+    assert_one_line(outcome, 1, "is there already")
     assert (tmp_path / "config.toml").read_text() == "mine"
     assert_one_line(cli("init", "new.toml", "--scene", "a.ply", cwd=tmp_path), 2, "--model")
     assert {path.name for path in tmp_path.iterdir()} == {"config.toml"}

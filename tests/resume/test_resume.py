@@ -22,9 +22,10 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 from spinpipe.pipeline import commands, mcap_file
+from spinpipe.pipeline.config import ExecutionSection
+from spinpipe.pipeline.engine import Engine, open_engine
 from spinpipe.pipeline.mcap_file import StageFileWriter, check
-from spinpipe.pipeline.run_folder import RunFolder
-from spinpipe.pipeline.runner import Runner, locked
+from spinpipe.pipeline.runner import Runner
 from spinpipe.schemas.topics import Topic
 from spinpipe.stages import STAGES
 
@@ -156,12 +157,12 @@ def test_a_file_that_another_run_replaced_is_not_reused(
     go_on(cli, other, "--set", "scan.bin_m=0.25")
 
     @contextmanager
-    def late(folder: RunFolder) -> Generator[None]:
+    def late(engine: ExecutionSection, cores: int) -> Generator[Engine]:
         shutil.copy(other.mcap("scan"), yard_run.mcap("scan"))
-        with locked(folder):
-            yield
+        with open_engine(engine, cores) as opened:
+            yield opened
 
-    with mock.patch.object(commands, "locked", late):
+    with mock.patch.object(commands, "open_engine", late):
         outcome = go_on(cli, yard_run, "--from", "verify")
     assert outcome.code == 1
     assert "04_scan.mcap: was changed meanwhile" in outcome.err
