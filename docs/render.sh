@@ -12,5 +12,5 @@ from pathlib import Path
 from spinpipe.pipeline.drawing.render import render
 
 recording, picture = map(Path, sys.argv[1:])
-sys.exit("\n".join(render(recording, picture, timeline="iteration", step=11)) or 0)
+sys.exit("\n".join(render(recording, picture, timeline="candidate", step=20_000)) or 0)
 END

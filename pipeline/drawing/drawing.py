@@ -16,6 +16,7 @@ from typing import Protocol, TypeVar
 import rerun as rr
 
 from spinpipe.pipeline.drawing.timelines import candidate_step
+from spinpipe.schemas.records import Upright
 from spinpipe.schemas.topics import Topic
 from spinpipe.stages import STAGES
 
@@ -39,11 +40,25 @@ def at_stage(rec: rr.RecordingStream, name: str) -> None:
     """Log what follows as a result of stage ``name``.
 
     A viewer shows an entity only where the active timeline has a row of it, so a result is also
-    there from the beginning of the timeline ``candidate``.
+    there from the beginning of the timelines ``candidate`` and ``threshold``.
     """
     rec.reset_time()
     rec.set_time("stage", sequence=STAGE_NUMBER[name])
     rec.set_time("candidate", sequence=0)
+    rec.set_time("threshold", sequence=0)
+
+
+def turn_upright(rec: rr.RecordingStream, upright: Upright) -> None:
+    """Log how the local frame stands in the world, from now on."""
+    rec.log(
+        "frames/local",
+        rr.Transform3D(
+            translation=upright.translation,
+            quaternion=rr.Quaternion(xyzw=upright.quaternion_xyzw),
+            child_frame=LOCAL,
+            parent_frame=WORLD,
+        ),
+    )
 
 
 def at_stages(rec: rr.RecordingStream, path: str, first: str, last: str) -> None:

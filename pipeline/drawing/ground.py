@@ -8,7 +8,15 @@ import numpy as np
 import rerun as rr
 
 from spinpipe.pipeline.drawing import palette
-from spinpipe.pipeline.drawing.drawing import LOCAL, WORLD, Reader, at_stage, at_stages, note, put
+from spinpipe.pipeline.drawing.drawing import (
+    LOCAL,
+    Reader,
+    at_stage,
+    at_stages,
+    note,
+    put,
+    turn_upright,
+)
 from spinpipe.pipeline.drawing.preview import preview
 from spinpipe.schemas import CLOUD, PLANE, TILES, UPRIGHT
 from spinpipe.schemas.colormap import viridis
@@ -27,15 +35,7 @@ def draw(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
     """
     plane, upright, tiles = read(PLANE)[0], read(UPRIGHT)[0], read(TILES)[0]
     at_stage(rec, "ground")
-    rec.log(
-        "frames/local",
-        rr.Transform3D(
-            translation=upright.translation,
-            quaternion=rr.Quaternion(xyzw=upright.quaternion_xyzw),
-            child_frame=LOCAL,
-            parent_frame=WORLD,
-        ),
-    )
+    turn_upright(rec, upright)
     corners, centre, size = _square(plane, upright.T_world_local, tiles)
     note(rec, _summary(plane))
     _draw_heights(read, rec, preview_points, upright, tiles)

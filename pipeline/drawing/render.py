@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from spinpipe.pipeline.drawing.drawing import STAGE_NUMBER
 from spinpipe.pipeline.drawing.recording import find_viewer
 from spinpipe.stages.stage import StageError
 
@@ -29,7 +30,7 @@ def render(
     recording: Path,
     picture: Path,
     timeline: str = "stage",
-    step: int = 5,
+    step: int = STAGE_NUMBER["verify"],
     size: tuple[int, int] = (1600, 900),
 ) -> list[str]:
     """Write a PNG of the whole viewer with the time cursor at one step of a timeline.

@@ -9,10 +9,19 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from spinpipe.pipeline.drawing import palette
-from spinpipe.pipeline.drawing.drawing import WORLD, Reader, at_stage, at_stages, note, put
+from spinpipe.pipeline.drawing.drawing import (
+    CANDIDATE,
+    WORLD,
+    Reader,
+    at_stage,
+    at_stages,
+    note,
+    put,
+    turn_upright,
+)
 from spinpipe.pipeline.drawing.model import model_path
 from spinpipe.pipeline.drawing.preview import preview, preview_rows
-from spinpipe.schemas import HITS, SCORES, SPIN_IMAGES
+from spinpipe.schemas import HITS, SCORES, SPIN_IMAGES, UPRIGHT
 from spinpipe.schemas.records import F32, U8, Hits, ScoreTile, SpinImage
 
 _TILES_WORTH_IT = 4
@@ -26,9 +35,15 @@ def draw(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
     # two passes over the file keep one tile in memory at a time
     counts = [len(tile.points) for tile in scores]
     histogram: dict[str, NDArray[np.int64]] = {}
+    by_tile = len(scores) >= _TILES_WORTH_IT
+    if by_tile:
+        rec.reset_time()
+        rec.set_time("tile", sequence=0)
+        turn_upright(rec, read(UPRIGHT)[0])
+        rec.log("frames/candidate", rr.Transform3D(child_frame=CANDIDATE, parent_frame=WORLD))
     for piece in preview(_counted(scores, histogram), counts, preview_points):
         at_stage(rec, "scan")
-        if len(scores) >= _TILES_WORTH_IT:
+        if by_tile:
             rec.set_time("tile", sequence=piece.last_tile)
         shape = rr.Points3D(piece.xyz, colors=piece.rgb)
         put(rec, f"scan/correlation/{piece.number:04d}", shape, WORLD)
