@@ -196,7 +196,7 @@ def draw(path: Path, run: Messages, stages: Sequence[str] = STAGES, points: int 
     assert rec is not None
     for stage in stages:
         record_stage(stage, run, rec, points)
-    close_recording(rec)
+    close_recording(rec, path)
     return path
 
 
@@ -369,7 +369,7 @@ def test_labels_colour_the_threshold(tmp_path: Path) -> None:
     truth = Truth({0: True, 1: False}, np.array([[1.0, 2.0, 0.0]]))
     for stage in STAGES:
         record_stage(stage, make_run(), rec, 1000, truth)
-    close_recording(rec)
+    close_recording(rec, tmp_path / "run.rrd")
     boxes = chunks(tmp_path / "run.rrd", "/threshold/detections", static=False)
     colours = [row[0] >> 8 for row in column(boxes, "Boxes3D:colors")]  # rejected, false, found
     assert colours[1:] == [
