@@ -62,8 +62,8 @@ def execute(
     console = Console(quiet=quiet)
     require_inputs_apart(config, folder)
     with locked(folder.path, force=force) as outputs:
-        steps = make_plan(config, folder, start=start, until=until)
         outputs.claim(*folder.files)
+        steps = make_plan(config, folder, start=start, until=until)
         keys = keys_in(folder, steps)
         if any(step.action == "run" for step in steps):  # they would no longer follow from it
             outputs.discard(*folder.results, folder.recording)

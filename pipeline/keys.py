@@ -19,9 +19,9 @@ from typing import Any
 from pydantic import BaseModel
 
 from spinpipe import schemas, stages
-from spinpipe.pipeline.scenes.gltf_buffers import external_buffers
+from spinpipe.pipeline.input_files import Identity, hash_path, identity
 from spinpipe.stages import STAGES
-from spinpipe.stages.stage import Stage, StageError
+from spinpipe.stages.stage import Stage
 
 
 def stage_parts(
@@ -53,6 +53,11 @@ def input_paths(stage: Stage, section: BaseModel) -> list[tuple[str, Path]]:
     return [(name, value) for name, value in values if isinstance(value, Path)]
 
 
+def input_identities(stage: Stage, section: BaseModel) -> tuple[Identity, ...]:
+    """What changes when a file changes that the stage reads."""
+    return tuple(identity(path, name) for name, path in input_paths(stage, section))
+
+
 def content_hash(content: bytes) -> str:
     """Key of something by its content: 32 hexadecimal digits."""
     return hashlib.sha256(content).hexdigest()[:32]
@@ -71,28 +76,6 @@ def changed_parts(before: Mapping[str, str], now: Mapping[str, str]) -> list[str
 def producers(stage: Stage) -> list[str]:
     """Names of the stages that write what ``stage`` reads, in order."""
     return [s.name for s in STAGES if any(topic in s.outputs for topic in stage.inputs)]
-
-
-def hash_path(path: Path, key: str) -> str:
-    """Hash of a file's content, or of all files below a folder with their relative names.
-
-    The content of a glTF file includes the buffers that it refers to.
-    """
-    if not path.exists():
-        raise StageError(f"{key}: {path} does not exist")
-    digest = hashlib.sha256()
-    try:
-        for file in [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file()):
-            if path.is_dir():
-                digest.update(str(file.relative_to(path)).encode() + b"\0")
-            with file.open("rb") as stream:
-                digest.update(hashlib.file_digest(stream, "sha256").digest())
-        if path.suffix.lower() == ".gltf":
-            for content in external_buffers(path):
-                digest.update(hashlib.sha256(content).digest())
-    except OSError as error:
-        raise StageError(f"{key}: cannot read {path}: {error.strerror}") from None
-    return f"sha256 {digest.hexdigest()}{path.suffix}"
 
 
 @cache

@@ -7,7 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from spinpipe.pipeline.config import ConfigError, RunConfig
-from spinpipe.pipeline.keys import changed_parts, producers, stage_key, stage_parts
+from spinpipe.pipeline.input_files import Identity
+from spinpipe.pipeline.keys import (
+    changed_parts,
+    input_identities,
+    producers,
+    stage_key,
+    stage_parts,
+)
 from spinpipe.pipeline.mcap_file import DamagedFileError, read_metadata
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.stages import STAGES
@@ -29,6 +36,8 @@ class Step:
     action: str
     """``"run"``, ``"reuse"`` or ``"skip"``."""
     reason: str
+    inputs: tuple[Identity, ...] = field(default=(), repr=False)
+    """Of the files that it reads, from before they were hashed."""
 
 
 def make_plan(
@@ -58,6 +67,7 @@ def make_plan(
     keys: dict[str, str] = {}
     for i, stage in enumerate(STAGES):
         section = config.stages[stage.name]
+        inputs = input_identities(stage, section)
         parts = stage_parts(
             stage, section, config.run.seed, {name: keys[name] for name in producers(stage)}
         )
@@ -68,7 +78,7 @@ def make_plan(
             action, reason = "run", f"--from {start}"
         else:
             action, reason = _decide(folder, stage.name, key, parts)
-        steps.append(Step(stage, section, key, parts, action, reason))
+        steps.append(Step(stage, section, key, parts, action, reason, inputs))
     return steps
 
 

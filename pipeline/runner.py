@@ -17,6 +17,7 @@ from spinpipe.pipeline.atomic import commit
 from spinpipe.pipeline.config import RunConfig
 from spinpipe.pipeline.context import RunContext
 from spinpipe.pipeline.engine import Engine
+from spinpipe.pipeline.keys import input_identities
 from spinpipe.pipeline.mcap_file import DamagedFileError, StageFileWriter, read_metadata, recover
 from spinpipe.pipeline.plan import Step
 from spinpipe.pipeline.progress import stage_progress
@@ -112,6 +113,8 @@ class Runner:
                     progress=progress,
                 )
                 step.stage.run(context)
+            if input_identities(step.stage, step.config) != step.inputs:
+                raise StageError("an input was changed while it was read; run again")
             report.seconds = round(time.perf_counter() - began, 3)
             report.notes = context.notes
             result = {"seconds": str(report.seconds), "notes": json.dumps(report.notes)}

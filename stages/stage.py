@@ -33,7 +33,16 @@ class Section(BaseModel):
 
 def _resolve(path: Path, info: ValidationInfo) -> Path:
     base: Path = (info.context or {}).get("base", Path())
-    return (base / path.expanduser()).resolve()
+    try:
+        resolved = (base / path.expanduser()).resolve()
+        str(resolved).encode()
+    except UnicodeEncodeError:
+        raise ValueError("its name is not UTF-8; rename it") from None
+    except (RuntimeError, OSError):
+        raise ValueError("it is a link that leads to itself, or below no home; name it") from None
+    except ValueError:
+        raise ValueError("a name cannot hold a zero byte") from None
+    return resolved
 
 
 InputPath = Annotated[Path, AfterValidator(_resolve)]

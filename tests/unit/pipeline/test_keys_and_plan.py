@@ -13,7 +13,8 @@ import pytest
 import trimesh
 
 from spinpipe.pipeline.config import ConfigError, load_config
-from spinpipe.pipeline.keys import changed_parts, code_digest, hash_path, producers, stage_key
+from spinpipe.pipeline.input_files import hash_path
+from spinpipe.pipeline.keys import changed_parts, code_digest, producers, stage_key
 from spinpipe.pipeline.plan import Step, make_plan
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.stages import STAGES

@@ -1,0 +1,81 @@
+"""Files that a run reads: which they are, what is in them, and whether they stayed as they were."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import stat
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from spinpipe.pipeline.outputs import MARK
+from spinpipe.pipeline.scenes.gltf_buffers import external_buffers
+from spinpipe.stages.stage import StageError
+
+_CLOCK_S = 0.02
+"""A file system counts time in steps of up to so long: a change within one would go unseen."""
+
+Identity = tuple[tuple[str | int, ...], ...]
+
+
+def hash_path(path: Path, key: str) -> str:
+    """Hash of a file's content, or of all files below a folder with their relative names.
+
+    The content of a glTF file includes the buffers that it refers to. A run's folder below an
+    input is no part of it.
+
+    Raises
+    ------
+    StageError
+        If it is missing, cannot be read, or is neither file nor folder: a pipe has no end.
+    """
+    digest = hashlib.sha256()
+    try:
+        for file in _files(path, key):
+            if path.is_dir():
+                digest.update(str(file.relative_to(path)).encode() + b"\0")
+            with file.open("rb") as stream:
+                digest.update(hashlib.file_digest(stream, "sha256").digest())
+        if path.suffix.lower() == ".gltf":
+            for content in external_buffers(path):
+                digest.update(hashlib.sha256(content).digest())
+    except OSError as error:
+        raise StageError(f"{key}: cannot read {path}: {error.strerror}") from None
+    return f"sha256 {digest.hexdigest()}{path.suffix}"
+
+
+def identity(path: Path, key: str) -> Identity:
+    """What changes when an input is written to or replaced: places, sizes and times.
+
+    Taken before it is hashed and compared after it was read, it tells that what was read is what
+    was hashed. Waits until its newest time is past, so that no later change can bear the same.
+    """
+    try:
+        found = [(str(f), f.lstat(), f.stat()) for f in _files(path, key)]
+    except OSError as error:
+        raise StageError(f"{key}: cannot read {path}: {error.strerror}") from None
+    newest = max((s.st_ctime for _, *stats in found for s in stats), default=0.0)
+    while 0 <= time.time() - newest < _CLOCK_S:
+        time.sleep(_CLOCK_S)
+    return tuple(
+        (name, *(n for s in stats for n in (s.st_dev, s.st_ino, s.st_size, s.st_ctime_ns)))
+        for name, *stats in found
+    )
+
+
+def _files(path: Path, key: str) -> Iterator[Path]:
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        raise StageError(f"{key}: {path} does not exist") from None
+    if stat.S_ISREG(mode):
+        yield path
+        return
+    if not stat.S_ISDIR(mode):
+        raise StageError(f"{key}: {path} is neither a file nor a folder; give a file")
+    for folder, below, names in os.walk(path):
+        below[:] = sorted(name for name in below if not Path(folder, name, MARK).exists())
+        for file in (Path(folder, name) for name in sorted(names)):
+            if file.is_file():
+                yield file
