@@ -50,5 +50,5 @@ def _require_room(model: ObjectModel, tiles: TileIndex, scene: SceneFrame) -> No
     if model_m > scene_m:
         raise StageError(
             f"model '{model.name}' is {model_m:.3g} m wide, the whole scene {scene_m:.3g} m; "
-            f"correct ingest.scale (now {scene.scale[0]:g}) or the scale of that [[model]]"
+            f"correct [ingest] scale (now {scene.scale[0]:g}) or the scale of that [[model]]"
         )

@@ -337,8 +337,10 @@ def test_ingest_decides_on_degenerate_files(
         return
     outputs = run(NAMED["ingest"], section, {}, tmp_path).outputs
     finite = np.isfinite(xyz).all(axis=1).sum()
-    assert outputs[SCENE][0].points == finite == sum(outputs[TILES][0].counts)
-    assert outputs[SCENE][0].dropped == len(xyz) - finite
+    (scene,) = outputs[SCENE]
+    assert scene.points == sum(outputs[TILES][0].counts)
+    assert scene.points + scene.duplicates + scene.strays == finite
+    assert scene.dropped == len(xyz) - finite
 
 
 @every_stage

@@ -337,7 +337,7 @@ def test_a_negative_radius(cli: Cli, yard: Yard, tmp_path: Path) -> None:
 
 def test_a_model_larger_than_the_scene(cli: Cli, yard: Yard, tmp_path: Path) -> None:
     yard.write(tmp_path, yard.xyz / 1000)
-    fail(cli, tmp_path, 1, "model 'saloon'", "ingest.scale", complete="01_ingest.mcap")
+    fail(cli, tmp_path, 1, "model 'saloon'", "[ingest] scale", complete="01_ingest.mcap")
 
 
 def test_broken_toml(cli: Cli, yard: Yard, tmp_path: Path) -> None:
