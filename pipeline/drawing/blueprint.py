@@ -41,7 +41,7 @@ def build_blueprint(read: Reader, preview_points: int, timeline: str = "stage") 
     eye = scene_eye(corners).controls()
     # distance between neighbours, if the points lay on a flat square
     shown = max(min(int(tiles.counts.sum()), preview_points), 1)
-    spacing = float(np.sqrt(np.ptp(corners, axis=0)[:2].prod() / shown))
+    spacing = float(np.sqrt(np.ptp(corners[:8], axis=0)[:2].prod() / shown))
     near_radius = min(_FILL * spacing, _LARGEST * diagonal(models))
     scene, *others = _scene_views(eye, piece_count(len(tiles.counts)))
     left = rrb.Vertical(scene, rrb.Tabs(*others)) if is_long(corners) else rrb.Tabs(scene, *others)

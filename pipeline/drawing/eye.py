@@ -14,8 +14,9 @@ import rerun.blueprint as rrb
 
 from spinpipe.pipeline.drawing.drawing import Reader
 from spinpipe.pipeline.drawing.model import model_bounds
-from spinpipe.schemas import TILES, UPRIGHT
+from spinpipe.schemas import CAMERAS, TILES, UPRIGHT
 from spinpipe.schemas.records import F64, I64, ObjectModel, TileIndex
+from spinpipe.stages.geometry.frames import transform
 
 DOWN_DEG = 60.0
 TAN_UP = 0.5
@@ -42,25 +43,32 @@ class Eye(NamedTuple):
 
 
 def scene_corners(read: Reader) -> F64:
-    """(8, 3) corners of a box around the cloud in the world, metres."""
+    """(8 + C, 3) corners of a box around the cloud, then the cameras; world, metres."""
     tiles, upright = read(TILES)[0], read(UPRIGHT)
     T_world_local = upright[0].T_world_local if len(upright) else np.eye(4)
-    return _corners(tiles, T_world_local)
+    cameras = [transform(T_world_local, shown.positions) for shown in read(CAMERAS)]
+    return np.concatenate([_corners(tiles, T_world_local), *cameras])
 
 
 def is_long(corners: F64) -> bool:
     """Whether wide views suit the scene."""
-    length, width, _ = np.ptp(corners, axis=0)
+    length, width, _ = np.ptp(corners[:8], axis=0)
     return bool(max(length, width) > LONG * max(min(length, width), 1e-9))
 
 
 def scene_eye(corners: F64) -> Eye:
-    """Look down at a box across its longer side, from as near as all its corners are in view."""
+    """Look down across the longer side, from as near as the box and all cameras are in view.
+
+    ``corners`` are those of ``scene_corners``.
+    """
     aspect = WIDE if is_long(corners) else SQUARE
-    centre = (corners.min(axis=0) + corners.max(axis=0)) / 2
-    length, width, height = np.ptp(corners, axis=0)
+    box = corners[:8]
+    centre = (box.min(axis=0) + box.max(axis=0)) / 2
+    length, width, height = np.ptp(box, axis=0)
     # what makes the box high is a tree or a pole, seldom in the corner next to the eye
-    low = corners - np.where(corners[:, 2:] > centre[2], (0, 0, 0.6 * height), 0)
+    low = np.concatenate(
+        [box - np.where(box[:, 2:] > centre[2], (0, 0, 0.6 * height), 0), corners[8:]]
+    )
     right = np.array([1.0, 0.0, 0.0]) if length >= width else np.array([0.0, -1.0, 0.0])
     ahead, down = np.cross([0.0, 0.0, 1.0], right), np.deg2rad(DOWN_DEG)
     forward = ahead * np.cos(down) - [0.0, 0.0, np.sin(down)]
