@@ -37,7 +37,8 @@ from spinpipe.pipeline.results.instances import ROW_COLUMNS, row
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.pipeline.runner import Runner
 from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
-from spinpipe.schemas.records import F64, U8, Detection, ObjectModel
+from spinpipe.schemas.arrays import F64, U8
+from spinpipe.schemas.records import Detection, ObjectModel
 from spinpipe.schemas.topics import Topic, topic_named
 from spinpipe.stages.geometry.frames import inverse, to_world, transform, world_from_scene
 from spinpipe.stages.stage import StageError

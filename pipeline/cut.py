@@ -16,7 +16,7 @@ from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.pipeline.scenes.cutting import around_box, cut_instance
 from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
 from spinpipe.schemas import CLOUD, SCENE, TILES, UPRIGHT
-from spinpipe.schemas.records import F64, U8
+from spinpipe.schemas.arrays import F64, U8
 from spinpipe.stages.geometry.frames import inverse, transform, world_from_scene
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.ingest.object_model import ModelConfig

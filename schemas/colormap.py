@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import U8
+
 # Every 32nd entry of matplotlib's viridis (CC0), between which the colours are interpolated.
 _VIRIDIS = np.array(
     [
@@ -24,7 +26,7 @@ _VIRIDIS = np.array(
 )
 
 
-def viridis(values: NDArray[Any], low: float = 0.0, high: float = 1.0) -> NDArray[np.uint8]:
+def viridis(values: NDArray[Any], low: float = 0.0, high: float = 1.0) -> U8:
     """(N,) numbers -> (N, 3) colours; beyond ``low`` and ``high`` the end colours, NaN is low."""
     position = np.nan_to_num((np.asarray(values, np.float64) - low) / (high - low), nan=0.0)
     stops = np.linspace(0.0, 1.0, len(_VIRIDIS))

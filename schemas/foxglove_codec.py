@@ -8,16 +8,8 @@ from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 
-from spinpipe.schemas.records import (
-    F32,
-    F64,
-    U8,
-    Cameras,
-    CloudTile,
-    InstancePoses,
-    ScoreTile,
-    Upright,
-)
+from spinpipe.schemas.arrays import F32, F64, U8
+from spinpipe.schemas.records import Cameras, CloudTile, InstancePoses, ScoreTile, Upright
 
 _FLOAT32 = PackedElementField.NumericType.FLOAT32
 _UINT8 = PackedElementField.NumericType.UINT8

@@ -16,10 +16,10 @@ from unittest import mock
 import hypothesis
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from plyfile import PlyData, PlyElement
 
 from spinpipe.pipeline.scenes.artificial_cars import SALOON, car_mesh
+from spinpipe.schemas.arrays import F64
 from spinpipe.stages.geometry.shapes import (
     box,
     covered_from_above,
@@ -33,7 +33,6 @@ from spinpipe.stages.geometry.shapes import (
 hypothesis.settings.register_profile("spinpipe", deadline=None, print_blob=True)
 hypothesis.settings.load_profile("spinpipe")  # no deadline: machines are busy, kernels compile
 
-F64 = NDArray[np.float64]
 
 YARD_CONFIG = """\
 [ingest]

@@ -19,7 +19,8 @@ from spinpipe.pipeline.drawing.drawing import CANDIDATE, STAGE_NUMBER, Reader, p
 from spinpipe.pipeline.drawing.model import model_bounds
 from spinpipe.pipeline.drawing.timelines import candidate_step
 from spinpipe.schemas import MODELS, SPIN_IMAGES
-from spinpipe.schemas.records import F32, F64, U8, Detection
+from spinpipe.schemas.arrays import F32, F64, U8
+from spinpipe.schemas.records import Detection
 from spinpipe.stages.geometry.frames import heading_quaternion
 
 ROOT = "candidate"

@@ -17,17 +17,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from spinpipe.schemas import CLOUD, CLUSTERS, HITS, MODELS, SAMPLING, SPIN_IMAGES, TILES, UPRIGHT
-from spinpipe.schemas.records import (
-    F32,
-    F64,
-    U8,
-    Detection,
-    Hits,
-    ObjectModel,
-    Sampling,
-    SpinImage,
-    Vector,
-)
+from spinpipe.schemas.arrays import F32, F64, U8
+from spinpipe.schemas.records import Detection, Hits, ObjectModel, Sampling, SpinImage, Vector
 from spinpipe.schemas.topics import Topic
 from spinpipe.stages.geometry.frames import to_world
 from spinpipe.stages.geometry.shapes import sample_surface

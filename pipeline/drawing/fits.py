@@ -23,7 +23,8 @@ from spinpipe.pipeline.drawing.model import (
     pose_of,
 )
 from spinpipe.pipeline.drawing.timelines import STEPS_A_CANDIDATE, candidate_step
-from spinpipe.schemas.records import F32, F64, Detection, FitTrace, ObjectModel
+from spinpipe.schemas.arrays import F32, F64
+from spinpipe.schemas.records import Detection, FitTrace, ObjectModel
 from spinpipe.stages.geometry.frames import heading_quaternion
 
 

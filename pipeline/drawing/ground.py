@@ -19,8 +19,9 @@ from spinpipe.pipeline.drawing.drawing import (
 )
 from spinpipe.pipeline.drawing.preview import preview
 from spinpipe.schemas import CLOUD, PLANE, TILES, UPRIGHT
+from spinpipe.schemas.arrays import F64
 from spinpipe.schemas.colormap import viridis
-from spinpipe.schemas.records import F64, Plane, TileIndex, Upright
+from spinpipe.schemas.records import Plane, TileIndex, Upright
 from spinpipe.stages.geometry.frames import to_world
 
 _HEIGHT_SHARES = (2, 98)

@@ -9,7 +9,8 @@ from spinpipe.pipeline.drawing import palette
 from spinpipe.pipeline.drawing.drawing import CANDIDATE, LOCAL, WORLD, Reader, at_stage, note, put
 from spinpipe.pipeline.drawing.preview import preview
 from spinpipe.schemas import CAMERAS, CLOUD, SCENE, TILES
-from spinpipe.schemas.records import F32, Cameras, SceneFrame, TileIndex
+from spinpipe.schemas.arrays import F32
+from spinpipe.schemas.records import Cameras, SceneFrame, TileIndex
 
 
 def draw(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:

@@ -11,7 +11,8 @@ from spinpipe.pipeline.drawing import palette
 from spinpipe.pipeline.drawing.drawing import Reader, at_stage, note
 from spinpipe.pipeline.drawing.palette import Colour
 from spinpipe.schemas import MODELS
-from spinpipe.schemas.records import F64, U8, ObjectModel
+from spinpipe.schemas.arrays import F64, U8
+from spinpipe.schemas.records import ObjectModel
 
 _POINTS_SHOWN = 5000
 

@@ -7,7 +7,9 @@ brightness; line widths say the same a second time.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from spinpipe.schemas.arrays import U8
 
 Colour = tuple[int, ...]
 """Red, green, blue and perhaps alpha, 0..255."""
@@ -57,13 +59,13 @@ def rank(fate: str) -> int:
     return list(FATES).index(fate) if fate in FATES else len(FATES)
 
 
-def shade(values: ArrayLike, low: float, high: float) -> NDArray[np.uint8]:
+def shade(values: ArrayLike, low: float, high: float) -> U8:
     """Greys from dark to bright for (N,) values from ``low`` to ``high``: (N, 3) uint8."""
     share = (np.asarray(values, np.float64) - low) / max(high - low, 1e-9)
     grey = (70 + 170 * np.clip(share, 0, 1)).astype(np.uint8)
     return np.repeat(grey[:, None], 3, axis=1)
 
 
-def series(count: int) -> NDArray[np.uint8]:
+def series(count: int) -> U8:
     """Colours (count, 3) for curves side by side, repeating after the last."""
     return np.array([SERIES[i % len(SERIES)] for i in range(count)], np.uint8).reshape(-1, 3)

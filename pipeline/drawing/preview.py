@@ -6,9 +6,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from spinpipe.schemas.records import F32, U8
+from spinpipe.schemas.arrays import F32, I64, U8
 
 _MOST_PIECES = 256
 
@@ -54,7 +53,7 @@ def preview(clouds: Iterable[tuple[F32, U8]], counts: Sequence[int], limit: int)
             kept = []
 
 
-def preview_rows(counts: Sequence[int], limit: int) -> Iterator[NDArray[np.int64]]:
+def preview_rows(counts: Sequence[int], limit: int) -> Iterator[I64]:
     """Rows to show of each tile.
 
     Row ``g`` of the concatenated tiles is shown when it is ``floor(j * total / shown)`` for a

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
 from spinpipe.pipeline.drawing import palette
 from spinpipe.pipeline.drawing.drawing import (
@@ -22,7 +21,8 @@ from spinpipe.pipeline.drawing.drawing import (
 from spinpipe.pipeline.drawing.model import model_path
 from spinpipe.pipeline.drawing.preview import preview, preview_rows
 from spinpipe.schemas import HITS, SCORES, SPIN_IMAGES, UPRIGHT
-from spinpipe.schemas.records import F32, U8, Hits, ScoreTile, SpinImage
+from spinpipe.schemas.arrays import F32, I64, U8
+from spinpipe.schemas.records import Hits, ScoreTile, SpinImage
 
 _TILES_WORTH_IT = 4
 """Fewer steps tell no story."""
@@ -34,7 +34,7 @@ def draw(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
     scores = read(SCORES)
     # two passes over the file keep one tile in memory at a time
     counts = [len(tile.points) for tile in scores]
-    histogram: dict[str, NDArray[np.int64]] = {}
+    histogram: dict[str, I64] = {}
     by_tile = len(scores) >= _TILES_WORTH_IT
     if by_tile:
         rec.reset_time()
@@ -62,9 +62,7 @@ def draw(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
         _draw_hits(rec, group, preview_points)
 
 
-def _counted(
-    tiles: Sequence[ScoreTile], histogram: dict[str, NDArray[np.int64]]
-) -> Iterator[tuple[F32, U8]]:
+def _counted(tiles: Sequence[ScoreTile], histogram: dict[str, I64]) -> Iterator[tuple[F32, U8]]:
     """Points and colours of every tile; on the way its correlations are added to the histogram."""
     for tile in tiles:
         for column, model in enumerate(tile.models):
@@ -74,9 +72,7 @@ def _counted(
         yield tile.points, tile.rgb
 
 
-def _draw_histogram(
-    rec: rr.RecordingStream, path: str, counts: NDArray[np.int64], color: palette.Colour
-) -> None:
+def _draw_histogram(rec: rr.RecordingStream, path: str, counts: I64, color: palette.Colour) -> None:
     # hits are one origin in a thousand: only a logarithm shows both sides of the threshold
     rec.log(
         path,

@@ -8,7 +8,8 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from spinpipe.pipeline.drawing.top_view import TopView
-from spinpipe.schemas.records import F64, Detection
+from spinpipe.schemas.arrays import F64
+from spinpipe.schemas.records import Detection
 
 Colour = tuple[int, int, int]
 WHITE: Colour = (255, 255, 255)

@@ -13,7 +13,8 @@ from spinpipe.pipeline.drawing.drawing import WORLD, Reader, place
 from spinpipe.pipeline.drawing.preview import preview_rows
 from spinpipe.pipeline.drawing.timelines import THRESHOLD_STEPS, threshold_step
 from spinpipe.schemas import CLUSTERS, HITS
-from spinpipe.schemas.records import F32, F64, U8, Detection
+from spinpipe.schemas.arrays import F32, F64, U8
+from spinpipe.schemas.records import Detection
 from spinpipe.stages.geometry.frames import heading_quaternion
 
 ROOT = "threshold"

@@ -6,10 +6,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import F32, F64, U8, Mask
 from spinpipe.schemas.colormap import viridis
-from spinpipe.schemas.records import F32, F64, U8
 
 BACKGROUND = (24, 24, 27)
 
@@ -76,7 +75,7 @@ def top_view(
     return TopView(large, np.asarray(low, np.float64), pixel_m)
 
 
-def _inside(xyz: F32, low: F64, high: F64) -> NDArray[np.bool_]:
+def _inside(xyz: F32, low: F64, high: F64) -> Mask:
     return np.all((xyz[:, :2] >= low) & (xyz[:, :2] <= high), axis=1)
 
 
@@ -113,6 +112,6 @@ def _by_height(z: F32) -> U8:
     return viridis(z, float(least), max(float(most), float(least) + 1e-6))
 
 
-def dimmed(pixels: U8, share: float) -> NDArray[np.uint8]:
+def dimmed(pixels: U8, share: float) -> U8:
     """Darken a picture so that what is drawn over it stands out."""
     return (pixels * share).astype(np.uint8)

@@ -23,7 +23,8 @@ from spinpipe.pipeline.drawing.model import model_bounds
 from spinpipe.pipeline.drawing.texts import candidate_text, outcome_text
 from spinpipe.pipeline.drawing.threshold import Truth, draw_threshold
 from spinpipe.schemas import DETECTIONS, MODELS, TRACES
-from spinpipe.schemas.records import F64, Detection, ObjectModel
+from spinpipe.schemas.arrays import F64
+from spinpipe.schemas.records import Detection, ObjectModel
 from spinpipe.stages.geometry.frames import heading_quaternion, yaw_matrix
 
 _LEDGER = (

@@ -21,7 +21,7 @@ from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.pipeline.scenes.artificial import SEED, ArtificialScene, make_scene
 from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
 from spinpipe.schemas import CLOUD, CLUSTERS, DETECTIONS, HITS, MODELS, SCENE, TILES, UPRIGHT
-from spinpipe.schemas.records import F64
+from spinpipe.schemas.arrays import F64
 from spinpipe.stages.geometry.model_surface import topmost_point
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.verify.icp.trimmed import trimmed_icp

@@ -27,7 +27,8 @@ from spinpipe.pipeline.scenes.ground_grid import GroundGrid, ground_grid, ground
 from spinpipe.pipeline.scenes.planted_scene import Planted, write_planted
 from spinpipe.pipeline.scenes.planting import look_around, plant, visible_surface
 from spinpipe.schemas import CLOUD, MODELS, TILES, UPRIGHT
-from spinpipe.schemas.records import F32, ObjectModel
+from spinpipe.schemas.arrays import F32
+from spinpipe.schemas.records import ObjectModel
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.stage import StageError
 
@@ -36,7 +37,7 @@ CELLS_ACROSS = 8
 """Cells of the ground across the narrow side of the smallest model."""
 MOST_CELLS = 4000
 """Along each side of the ground's grid."""
-NEIGHBOURS = 8
+SPACING_NEIGHBOURS = 8
 """Of a point, that tell how far apart points are."""
 
 
@@ -153,8 +154,8 @@ def _spacing_m(xyz: F32) -> float:
     """Typical distance of neighbours, seen from above."""
     tree = KDTree(xyz[:, :2])
     some = xyz[:: max(1, len(xyz) // 2000), :2]
-    reach = tree.query(some, k=min(NEIGHBOURS + 1, len(xyz)))[0][:, -1]
-    return float(np.median(reach)) * float(np.sqrt(np.pi / NEIGHBOURS))
+    reach = tree.query(some, k=min(SPACING_NEIGHBOURS + 1, len(xyz)))[0][:, -1]
+    return float(np.median(reach)) * float(np.sqrt(np.pi / SPACING_NEIGHBOURS))
 
 
 def _pieces(cloud: WorldCloud) -> Iterator[F32]:

@@ -11,7 +11,8 @@ from typing import Literal
 
 import numpy as np
 
-from spinpipe.schemas.records import F64, SceneFrame, Upright
+from spinpipe.schemas.arrays import F64
+from spinpipe.schemas.records import SceneFrame, Upright
 from spinpipe.stages.geometry.frames import world_from_scene
 from spinpipe.stages.stage import StageError
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 from spinpipe.pipeline.drawing import palette
 from spinpipe.pipeline.drawing.closeup import SIGHT, WHAT, Closeup
-from spinpipe.schemas.records import F64, U8
+from spinpipe.schemas.arrays import F64, U8
 
 SIDE_PX = 112
 VIEWS = ("from above, as photographed", "from the side, explained or not", "model, seen or not")

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from spinpipe.schemas.records import F64, Detection, ObjectModel
+from spinpipe.schemas.arrays import F64, I32
+from spinpipe.schemas.records import Detection, ObjectModel
 from spinpipe.schemas.topics import Topic
 from spinpipe.stages.geometry.frames import heading_quaternion, inverse
 
@@ -109,7 +109,7 @@ def plain(value: Any) -> Any:
     return value
 
 
-def mesh_of(d: Detection, models: Mapping[str, ObjectModel]) -> tuple[F64, NDArray[np.int32]]:
+def mesh_of(d: Detection, models: Mapping[str, ObjectModel]) -> tuple[F64, I32]:
     """Vertices (V, 3) in scene coordinates and faces (F, 3) of a fitted model.
 
     A model that is a cloud gives its points and no faces.

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spinpipe.pipeline.results.geojson import scene_crs
 from spinpipe.pipeline.results.instances import ReadTopic
 from spinpipe.schemas import CLOUD, SCENE, UPRIGHT
-from spinpipe.schemas.records import F32, Detection
+from spinpipe.schemas.arrays import F32, I64
+from spinpipe.schemas.records import Detection
 from spinpipe.stages.geometry.frames import inverse, to_world, transform, world_from_scene
 
 NO_OBJECT = -1
@@ -59,7 +59,7 @@ def write_las(read: ReadTopic, detections: Sequence[Detection], path: Path) -> N
             writer.write_points(points)
 
 
-def _owners(xyz: F32, detections: Sequence[Detection]) -> NDArray[np.int64]:
+def _owners(xyz: F32, detections: Sequence[Detection]) -> I64:
     """Row of the detection whose box holds each point (N, 3) of the world, -1 if none."""
     owner = np.full(len(xyz), -1, np.int64)
     if not len(xyz):

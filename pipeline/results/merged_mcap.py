@@ -27,8 +27,9 @@ from spinpipe.pipeline.drawing.preview import preview
 from spinpipe.pipeline.mcap_file import EPOCH_NS
 from spinpipe.pipeline.results.instances import ReadTopic
 from spinpipe.schemas import CAMERAS, CLOUD, CLUSTERS, HITS, TILES, UPRIGHT
+from spinpipe.schemas.arrays import F32
 from spinpipe.schemas.foxglove_codec import encode_cameras, point_cloud
-from spinpipe.schemas.records import F32, Detection
+from spinpipe.schemas.records import Detection
 from spinpipe.stages import STAGES
 from spinpipe.stages.geometry.frames import heading_quaternion, to_world
 

@@ -28,7 +28,8 @@ from spinpipe.pipeline.results.candidate_pictures import (
 from spinpipe.pipeline.results.instances import ReadTopic, box_corners, entry, plain
 from spinpipe.pipeline.results.life import limit_tests, part_row
 from spinpipe.schemas import SAMPLING, SCENE, SPIN_IMAGES
-from spinpipe.schemas.records import F32, Detection, ObjectModel
+from spinpipe.schemas.arrays import F32
+from spinpipe.schemas.records import Detection, ObjectModel
 
 PICTURED = 150
 """Candidates with pictures: all kept ones first, then the others from the best score downwards."""

@@ -14,7 +14,8 @@ from spinpipe.pipeline.drawing.sheet import Colour, Sheet
 from spinpipe.pipeline.drawing.top_view import TopView, dimmed, top_view
 from spinpipe.pipeline.results.instances import ReadTopic
 from spinpipe.schemas import CLOUD, SCENE, TILES, UPRIGHT
-from spinpipe.schemas.records import F32, U8, Detection
+from spinpipe.schemas.arrays import F32, U8
+from spinpipe.schemas.records import Detection
 from spinpipe.stages.geometry.frames import to_world
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spinpipe.pipeline.scenes import artificial_clutter as clutter
 from spinpipe.pipeline.scenes.artificial_cars import COMPACT, SALOON, car_mesh, car_paint
 from spinpipe.pipeline.scenes.artificial_clutter import Colour, Item
+from spinpipe.schemas.arrays import F64, I32, I64, U8, Mask
 from spinpipe.stages.geometry.frames import transform, yaw_matrix
 from spinpipe.stages.geometry.shapes import (
     Mesh,
@@ -56,9 +56,9 @@ _CRATE_COLOURS: tuple[Colour, ...] = (
 class ModelShape:
     """A car in frame ``object``: mesh (V, 3) and (F, 3), and a cloud (25000, 3) sampled from it."""
 
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    cloud: NDArray[np.float64]
+    vertices: F64
+    faces: I64
+    cloud: F64
 
 
 class TruthRow(NamedTuple):
@@ -79,9 +79,9 @@ class ArtificialScene:
     Label 0 is the ground, 1 to 8 are the cars in the order of ``truth``, higher ones the rest.
     """
 
-    xyz: NDArray[np.float64]
-    rgb: NDArray[np.uint8]
-    labels: NDArray[np.int32]
+    xyz: F64
+    rgb: U8
+    labels: I32
     models: Mapping[str, ModelShape]
     truth: tuple[TruthRow, ...]
 
@@ -141,7 +141,7 @@ def _model(mesh: Mesh, rng: np.random.Generator) -> ModelShape:
     return ModelShape(vertices, mesh.faces, _stored(cloud))
 
 
-def _stored(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+def _stored(xyz: F64) -> F64:
     """Coordinates as a float32 file holds them.
 
     Rounding to 0.1 mm first hides the last bits in which machines may differ.
@@ -225,12 +225,12 @@ def _laid_out(models: Mapping[str, ModelShape], site: _Site) -> list[Item]:
 
 
 class _Samples(NamedTuple):
-    xyz: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    rgb: NDArray[np.uint8]
-    labels: NDArray[np.int32]
+    xyz: F64
+    normals: F64
+    rgb: U8
+    labels: I32
 
-    def at(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> _Samples:
+    def at(self, rows: Mask | I64) -> _Samples:
         return _Samples(self.xyz[rows], self.normals[rows], self.rgb[rows], self.labels[rows])
 
 
@@ -268,7 +268,7 @@ def _sampled(
     return cloud.at(np.argsort(rng.random(len(cloud.labels)), kind="stable")[:points])
 
 
-def _pose(item: Item) -> NDArray[np.float64]:
+def _pose(item: Item) -> F64:
     return yaw_matrix(item.heading_deg, (item.x, item.y, 0.0))
 
 

@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spinpipe.pipeline.scenes.artificial_clutter import Colour, Colours, Floats, Paint, plain
+from spinpipe.pipeline.scenes.artificial_clutter import Colour, Colours, Paint, plain
+from spinpipe.schemas.arrays import F64
 from spinpipe.stages.geometry.shapes import (
     Mesh,
     extruded,
@@ -95,7 +96,7 @@ def car_paint(shape: CarShape, body: Colour) -> Paint:
     tail, nose = shape.stations[0][0], shape.stations[-1][0]
     roof = max(top for _, top, _ in shape.stations)
 
-    def paint(points: Floats, normals: Floats) -> Colours:
+    def paint(points: F64, normals: F64) -> Colours:
         x, y, z = points.T
         colours = plain(body)(points, normals)
         pillar = np.min([np.abs(x - pillar) for pillar in shape.pillars_m], axis=0) < 0.05
@@ -115,7 +116,7 @@ def car_paint(shape: CarShape, body: Colour) -> Paint:
     return paint
 
 
-def _section(shape: CarShape, x: float, top: float, half: float) -> Floats:
+def _section(shape: CarShape, x: float, top: float, half: float) -> F64:
     """Cross-section (9, 3) at ``x``, counter-clockwise seen from the front."""
     belt = min(shape.belt_m, top - 0.06)
     cabin = min(1.0, max(0.0, (top - shape.belt_m) / 0.35))  # 0 bonnet or boot, 1 full cabin

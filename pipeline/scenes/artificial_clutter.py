@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import F64, U8
 from spinpipe.stages.geometry.shapes import (
     Mesh,
     box,
@@ -22,10 +22,9 @@ from spinpipe.stages.geometry.shapes import (
     without_underside,
 )
 
-Floats = NDArray[np.float64]
-Colours = NDArray[np.uint8]
+Colours = U8
 Colour = tuple[int, int, int]
-Paint = Callable[[Floats, Floats], Colours]
+Paint = Callable[[F64, F64], Colours]
 """Maps points (N, 3) and their normals (N, 3) in frame ``object`` to colours (N, 3)."""
 
 
@@ -53,7 +52,7 @@ def ground(extent_m: float) -> Item:
     half = extent_m / 2
     corners = np.array([(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)])
 
-    def paint(points: Floats, normals: Floats) -> Colours:
+    def paint(points: F64, normals: F64) -> Colours:
         colours = plain((118, 118, 120))(points, normals)
         colours[np.abs(points[:, :2]).max(axis=1) > half - 2.5] = (98, 130, 72)
         return colours
@@ -66,7 +65,7 @@ def house(x: float, y: float) -> Item:
     """House of 12 m by 7 m with a gable roof, its long side along the scene's x axis."""
     profile = [(-3.5, 0.0), (3.5, 0.0), (3.5, 3.2), (0.0, 5.2), (-3.5, 3.2)]
 
-    def paint(points: Floats, normals: Floats) -> Colours:
+    def paint(points: F64, normals: F64) -> Colours:
         along, height = points[:, 1], points[:, 2]
         colours = plain((226, 212, 184))(points, normals)
         window = (np.abs(normals[:, 0]) > 0.9) & (height > 1.0) & (height < 2.3)
@@ -95,7 +94,7 @@ def tent(x: float, y: float, heading_deg: float) -> Item:
         for sy in (-1, 1)
     ]
 
-    def paint(points: Floats, normals: Floats) -> Colours:
+    def paint(points: F64, normals: F64) -> Colours:
         colours = plain((140, 142, 146))(points, normals)
         stripe = np.where(np.mod(points[:, :1], 1.0) < 0.5, (236, 232, 220), (60, 128, 190))
         cloth = (points[:, 2] >= eaves - 1e-6) & (normals[:, 2] > 0.5) & (normals[:, 2] < 0.999)
@@ -152,7 +151,7 @@ def crate(
 def _foliage(colour: Colour) -> Paint:
     """Green that grows lighter upwards."""
 
-    def paint(points: Floats, _normals: Floats) -> Colours:
+    def paint(points: F64, _normals: F64) -> Colours:
         low, high = points[:, 2].min(initial=0.0), points[:, 2].max(initial=1.0)
         light = 0.75 + 0.4 * (points[:, 2:] - low) / (high - low)
         return (np.array(colour) * light).astype(np.uint8)

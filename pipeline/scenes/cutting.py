@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.pipeline.scenes.ground_grid import GroundGrid, ground_grid, ground_spread
+from spinpipe.schemas.arrays import F64, I64
 from spinpipe.stages.geometry.frames import inverse, transform, yaw_matrix
-
-F64 = NDArray[np.float64]
 
 CELLS_ACROSS = 8
 """Cells of the local ground across the narrow side of the box."""
@@ -37,7 +36,7 @@ def cut_instance(
     size: F64,
     heading_deg: float,
     base_z: float | None = None,
-) -> tuple[NDArray[np.int64], F64]:
+) -> tuple[I64, F64]:
     """Points of one instance in its object frame.
 
     Parameters

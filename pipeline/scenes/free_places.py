@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.pipeline.scenes.ground_grid import GroundGrid
-
-F64 = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from spinpipe.schemas.arrays import F64, I64, Mask
 
 TRIES = 2000
 """Random poses that are tried for each object before the scene counts as full."""
@@ -40,7 +38,7 @@ class Place:
 
 def blocked_cells(
     grid: GroundGrid, pieces: Iterable[NDArray[np.floating]], clear_m: float, height_m: float
-) -> Bools:
+) -> Mask:
     """Cells (X, Y) in which something rises above the ground.
 
     Parameters
@@ -63,7 +61,7 @@ def blocked_cells(
 
 def free_places(
     grid: GroundGrid,
-    blocked: Bools,
+    blocked: Mask,
     footprints: Sequence[Footprint],
     gap_m: float,
     rng: np.random.Generator,
@@ -101,7 +99,7 @@ def free_places(
 
 
 def _random_places(
-    grid: GroundGrid, ground: NDArray[np.int64], footprint: Footprint, rng: np.random.Generator
+    grid: GroundGrid, ground: I64, footprint: Footprint, rng: np.random.Generator
 ) -> Iterator[Place]:
     if not len(ground):
         return

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, grey_opening
 
-F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
+from spinpipe.schemas.arrays import F64, I64, Mask
 
 
 @dataclass(frozen=True)
@@ -23,10 +22,10 @@ class GroundGrid:
     cell_m: float
     height: F64
     """(X, Y) world z of the ground; where none was seen that of the nearest cell with ground."""
-    seen: NDArray[np.bool_]
+    seen: Mask
     """(X, Y) whether ground was seen in the cell."""
 
-    def cells(self, xy: NDArray[np.floating]) -> tuple[I64, NDArray[np.bool_]]:
+    def cells(self, xy: NDArray[np.floating]) -> tuple[I64, Mask]:
         """Cells (N, 2) of points (N, 2), clipped to the grid, and which lie on it (N,)."""
         cells = np.floor((xy - self.low) / self.cell_m).astype(np.int64)
         last = np.array(self.height.shape) - 1
@@ -103,7 +102,7 @@ def ground_spread(
     return max(least_m, float(np.quantile(above, share)) if len(above) else 0.0)
 
 
-def _from_nearest(values: F64, known: NDArray[np.bool_]) -> F64:
+def _from_nearest(values: F64, known: Mask) -> F64:
     """Values of the nearest known cell."""
     nearest = cast(
         "I64", distance_transform_edt(~known, return_distances=False, return_indices=True)

@@ -14,21 +14,19 @@ from scipy.spatial import KDTree
 
 from spinpipe.pipeline.scenes.free_places import Place
 from spinpipe.pipeline.scenes.ground_grid import GroundGrid
+from spinpipe.schemas.arrays import F64, Mask
 from spinpipe.schemas.records import ObjectModel
 from spinpipe.stages.geometry.frames import inverse, transform, yaw_matrix
 from spinpipe.stages.geometry.seen_from_above import seen_from_above
 from spinpipe.stages.geometry.shapes import Mesh, sample_surface, surface_area, without_underside
 
-F64 = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-
 OVERSAMPLING = 4
 """Candidates drawn for each point of a planted mesh."""
-NEIGHBOURS = 8
+DENSITY_NEIGHBOURS = 8
 """Neighbours that tell the density and the normal of a cloud."""
 OBLIQUE = 0.1
 """Cosine below which a surface still is seen a little: photos from above are not all straight."""
-MIN_GROUND = 20
+MIN_GROUND_POINTS = 20
 """Fewer points of the ground tell neither its slope nor its noise."""
 
 
@@ -45,7 +43,7 @@ class Surroundings:
 
 
 @dataclass(frozen=True)
-class Surface:
+class VisibleSurface:
     """Points on an object's surface that a sensor may see, in the object frame."""
 
     points: F64
@@ -70,7 +68,7 @@ class Plant:
     top_low: F64
     top_cell_m: float
 
-    def hides(self, points: NDArray[np.floating]) -> Bools:
+    def hides(self, points: NDArray[np.floating]) -> Mask:
         """Which points (N, 3) of the world lie below the object's surface."""
         T = self.T_world_object
         reach = float(np.abs(self.top_low).max()) * 2**0.5 + self.top_cell_m
@@ -110,7 +108,7 @@ def look_around(
     middles = grid.low + grid.cell_m * (cells + 0.5) - np.array([place.x, place.y])
     near = np.hypot(middles[:, 0], middles[:, 1]) < radius
     ground = inside & near & (np.abs(height) < clear_m)
-    if ground.sum() < MIN_GROUND:
+    if ground.sum() < MIN_GROUND_POINTS:
         raise ValueError(f"only {ground.sum()} points of ground around the place")
     xy, z = offset[ground], points[ground, 2].astype(np.float64)
     design = np.column_stack([xy, np.ones(len(xy))])
@@ -132,7 +130,7 @@ def _fit(design: F64, z: F64) -> tuple[F64, float]:
     return plane, 1.4826 * float(np.median(np.abs(z - design @ plane)))
 
 
-def visible_surface(model: ObjectModel, density: float, rng: np.random.Generator) -> Surface:
+def visible_surface(model: ObjectModel, density: float, rng: np.random.Generator) -> VisibleSurface:
     """Points on the part of a model's surface that photos show.
 
     From above a surface gets points in proportion to how much of it the sensor sees: the cosine
@@ -161,12 +159,12 @@ def visible_surface(model: ObjectModel, density: float, rng: np.random.Generator
         areas, upward = _areas_and_slopes(points)
     if from_above:
         areas = areas * np.maximum(upward, OBLIQUE)
-    return Surface(points, areas, from_above)
+    return VisibleSurface(points, areas, from_above)
 
 
 def _areas_and_slopes(points: F64) -> tuple[F64, F64]:
     """Area that each point of a cloud stands for, and the upward part of its normal (N,), (N,)."""
-    distance, rows = KDTree(points).query(points, k=min(NEIGHBOURS + 1, len(points)))
+    distance, rows = KDTree(points).query(points, k=min(DENSITY_NEIGHBOURS + 1, len(points)))
     areas = np.pi * distance[:, -1] ** 2 / (distance.shape[1] - 1)
     around = points[rows] - points[rows].mean(axis=1, keepdims=True)
     _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
@@ -174,7 +172,7 @@ def _areas_and_slopes(points: F64) -> tuple[F64, F64]:
 
 
 def plant(
-    surface: Surface,
+    surface: VisibleSurface,
     place: Place,
     around: Surroundings,
     scene: NDArray[np.floating],
@@ -210,7 +208,7 @@ def _overhead(scene: NDArray[np.floating], grid: GroundGrid, place: Place) -> ND
     return scene[scene[:, 2] - grid.heights(scene[:, :2]) > place.footprint.height_m]
 
 
-def _seen(world: F64, overhead: NDArray[np.floating], grid: GroundGrid) -> Bools:
+def _seen(world: F64, overhead: NDArray[np.floating], grid: GroundGrid) -> Mask:
     """Which points of the object stand over seen ground and under nothing."""
     cells, inside = grid.cells(world[:, :2])
     seen = inside & grid.seen[cells[:, 0], cells[:, 1]]

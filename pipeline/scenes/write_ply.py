@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import I32, U8
 from spinpipe.stages.ingest.ply_header import CODES
 
 _NAMES = {code: name for name, code in CODES.items()}
@@ -20,7 +21,7 @@ _FACE = np.dtype([("count", "u1"), ("vertex_indices", "<i4", 3)])
 def write_ply(
     path: Path,
     vertices: NDArray[Any],
-    faces: NDArray[np.int32] | None = None,
+    faces: I32 | None = None,
     comment: str = "",
 ) -> None:
     """Write a PLY file.
@@ -68,7 +69,7 @@ def ply_header(
 
 
 def cloud_rows(
-    xyz: NDArray[np.floating[Any]], rgb: NDArray[np.uint8] | None = None, number: str = "<f4"
+    xyz: NDArray[np.floating[Any]], rgb: U8 | None = None, number: str = "<f4"
 ) -> NDArray[Any]:
     """Vertices for ``write_ply``: x, y, z and perhaps red, green, blue.
 

@@ -10,7 +10,8 @@ from pydantic import Field
 from scipy.sparse.csgraph import connected_components
 
 from spinpipe.schemas import CLUSTERS, HITS, MODELS
-from spinpipe.schemas.records import F32, I64, Cluster, Hits, ObjectModel, Vector
+from spinpipe.schemas.arrays import F32, I64
+from spinpipe.schemas.records import Cluster, Hits, ObjectModel, Vector
 from spinpipe.stages.cluster.delaunay import delaunay_components
 from spinpipe.stages.cluster.suppression import suppress
 from spinpipe.stages.geometry.frames import vector

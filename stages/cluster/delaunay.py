@@ -8,7 +8,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay, QhullError
 
-from spinpipe.schemas.records import F64, I64
+from spinpipe.schemas.arrays import F64, I64
 
 _FLAT = 1e-9
 

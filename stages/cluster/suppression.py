@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from spinpipe.schemas.records import I64
+from spinpipe.schemas.arrays import I64
 
 
 def suppress(

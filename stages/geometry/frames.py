@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spinpipe.schemas.records import F32, F64, SceneFrame, Upright, Vector
+from spinpipe.schemas.arrays import F32, F64
+from spinpipe.schemas.records import SceneFrame, Upright, Vector
 
 
 def local_from_scene(frame: SceneFrame) -> F64:

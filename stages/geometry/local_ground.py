@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import percentile_filter
 
-from spinpipe.schemas.records import F64, Sampling
+from spinpipe.schemas.arrays import F64
+from spinpipe.schemas.records import Sampling
 from spinpipe.stages.geometry.columns import column_order
 
 

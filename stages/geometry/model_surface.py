@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from spinpipe.schemas.records import F64, ObjectModel
+from spinpipe.schemas.arrays import F64
+from spinpipe.schemas.records import ObjectModel
 from spinpipe.stages.geometry.seen_from_above import sample_seen, seen_from_around
 from spinpipe.stages.geometry.shapes import Mesh
 
 SURFACE_POINTS = 60_000
-NEIGHBOURS = 12
+NORMAL_NEIGHBOURS = 12
 """Points of a cloud that a normal is estimated from."""
 FACES_PER_VOXEL = 1.5
 """Mean number of voxels of side v that a surface of area v^2 touches, over all its directions."""
@@ -38,7 +39,7 @@ def model_surface(model: ObjectModel, rng: np.random.Generator) -> tuple[F64, F6
 
 def _plane_normals(points: F64, at: F64) -> F64:
     """Normals of the planes through the nearest ``points`` of each place."""
-    _, rows = KDTree(points).query(at, k=min(NEIGHBOURS, len(points)))
+    _, rows = KDTree(points).query(at, k=min(NORMAL_NEIGHBOURS, len(points)))
     near = points[np.asarray(rows).reshape(len(at), -1)]
     centred = near - near.mean(axis=1, keepdims=True)
     # eigenvectors come in ascending order: the first is the direction of least spread
@@ -58,7 +59,7 @@ def points_on(points: NDArray[np.floating], density: float, voxels_along: int = 
     return len(occupied) * voxel_m**2 / FACES_PER_VOXEL * density
 
 
-def topmost_point(points: NDArray[Any], tolerance_m: float = 1e-3) -> NDArray[np.float64]:
+def topmost_point(points: NDArray[Any], tolerance_m: float = 1e-3) -> F64:
     """Topmost point of an object (object frame, z up, metres).
 
     A flat top has many highest points: of those within ``tolerance_m`` of the highest the one

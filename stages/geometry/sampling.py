@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from spinpipe.schemas.records import F64, I64, Sampling
+from spinpipe.schemas.arrays import F64, I64
+from spinpipe.schemas.records import Sampling
 from spinpipe.stages.geometry.columns import column_order
 
 PATCH_SPACINGS = 5.0

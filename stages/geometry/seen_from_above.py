@@ -11,18 +11,15 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 from numpy.random import Generator
-from numpy.typing import NDArray
 
-from spinpipe.schemas.records import F64
+from spinpipe.schemas.arrays import F64, I64, Mask
 from spinpipe.stages.geometry.shapes import Mesh, sample_surface
-
-I64 = NDArray[np.int64]
 
 _ELEVATIONS_DEG = (90.0, 60.0, 30.0, 0.0, -30.0)  # low cameras see what a table top covers
 _AZIMUTHS = 12
 
 
-def seen_from_around(points: F64, vertices: F64, faces: I64) -> NDArray[np.bool_]:
+def seen_from_around(points: F64, vertices: F64, faces: I64) -> Mask:
     """Whether each point of a mesh shows from any direction but steeply below.
 
     What never shows is inside: parts of a model drawn through each other have such faces.
@@ -49,7 +46,7 @@ def seen_from_around(points: F64, vertices: F64, faces: I64) -> NDArray[np.bool_
 
 
 def sample_seen(
-    mesh: Mesh, count: int, seen: Callable[[F64, F64, I64], NDArray[np.bool_]], rng: Generator
+    mesh: Mesh, count: int, seen: Callable[[F64, F64, I64], Mask], rng: Generator
 ) -> tuple[F64, F64]:
     """Like ``sample_surface``, but only points that are ``seen``: points and normals (count, 3)."""
     points, normals = np.empty((0, 3)), np.empty((0, 3))
@@ -74,7 +71,7 @@ def _turned_upwards(elevation: float, azimuth: float) -> F64:
     return np.stack([side, np.cross(direction, side), direction])
 
 
-def seen_from_above(points: F64, vertices: F64, faces: I64) -> NDArray[np.bool_]:
+def seen_from_above(points: F64, vertices: F64, faces: I64) -> Mask:
     """Whether the vertical ray upwards from each point meets no other face of the mesh.
 
     Faces cover what lies below them whichever side they turn down, their borders included. A face
@@ -126,7 +123,7 @@ def _faces_by_cell(first: I64, last: I64, cells: int) -> tuple[I64, I64]:
 @njit(cache=True, nogil=True)
 def _open_above(
     points: F64, corners: F64, cell: I64, starts: I64, members: I64, tolerance: float
-) -> NDArray[np.bool_]:
+) -> Mask:
     free = np.ones(len(points), np.bool_)
     for i in range(len(points)):
         x, y, z = points[i]

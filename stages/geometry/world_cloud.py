@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from spinpipe.schemas.records import F32, F64, CloudTile, TileIndex, Upright
+from spinpipe.schemas.arrays import F32, F64, Mask
+from spinpipe.schemas.records import CloudTile, TileIndex, Upright
 from spinpipe.stages.geometry.frames import to_world, transform
 
 
@@ -54,7 +54,7 @@ class WorldCloud:
 
     def around(
         self, tile: int, radius_m: float, below_m: float, above_m: float = 0.0
-    ) -> tuple[F32, NDArray[np.bool_]]:
+    ) -> tuple[F32, Mask]:
         """Points of one tile and of its surroundings: sideways, below and above, world.
 
         Returns

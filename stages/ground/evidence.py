@@ -11,19 +11,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
+from spinpipe.schemas.arrays import F64, I32, I64, Mask
 from spinpipe.stages.ground.plane import FittedPlane
 
-F64 = NDArray[np.float64]
-I32 = NDArray[np.int32]
-I64 = NDArray[np.int64]
-Bool = NDArray[np.bool_]
-
-REACH = 2.0
+REACH_VOXELS = 2.0
 """Sample points within this many voxels of each other belong together."""
 SLOPE_DEG = 20.0
 """Ground may slope by this much against its plane."""
@@ -42,7 +37,7 @@ TURNED_DEG = 15.0
 """Cameras that turn by less (root mean square) do not tell the axis they turn about."""
 TILT_DEG = 20.0
 """The ground may be tilted by this much against the vertical of the cameras."""
-ABOUT = 8
+HEIGHT_POINTS = 8
 """Nearest points of the ground, which give its height at a point; on the level next to it."""
 
 
@@ -55,10 +50,10 @@ class Surface:
     normals: F64
     """(N, 3) unit normals of either sign."""
     pairs: I64
-    """(E, 2) rows of points within ``REACH`` voxels of each other."""
+    """(E, 2) rows of points within ``REACH_VOXELS`` voxels of each other."""
     voxel: float
 
-    def groups(self, members: Bool) -> I32:
+    def groups(self, members: Mask) -> I32:
         """Label of the connected group of each member, in the order of the members."""
         n = len(members)
         within = self.pairs[members[self.pairs].all(axis=1)]
@@ -79,7 +74,7 @@ def solid_surface(points: F64, normals: F64, voxel: float) -> Surface:
     voxel
         Spacing of the sample.
     """
-    pairs = KDTree(points).query_pairs(REACH * voxel, output_type="ndarray")
+    pairs = KDTree(points).query_pairs(REACH_VOXELS * voxel, output_type="ndarray")
     everything = Surface(points, normals, pairs, voxel)
     labels = everything.groups(np.ones(len(points), bool))
     solid = np.bincount(labels)[labels] >= SPECK
@@ -101,17 +96,17 @@ class Terrain:
     up: F64
     """(3,) unit vector: the vertical, not the plane's own normal."""
     plane: FittedPlane
-    members: Bool
+    members: Mask
     """(N,) points of the surface that are ground."""
     heights: F64
     """(N,) above the ground nearby; the ground itself is at 0."""
     band: float
     """Heights within this are the ground's own roughness."""
-    inside: Bool
+    inside: Mask
     """(N,) points over the outline of the ground."""
     steepness: F64
     """(N,) squared sine of the surface's angle with the ground: 0 parallel, 1 upright."""
-    touching: Bool
+    touching: Mask
     """(N,) points next to the ground."""
 
     def level(self, points: F64) -> FittedPlane:
@@ -150,13 +145,13 @@ def grow_terrain(surface: Surface, up: F64, plane: FittedPlane) -> Terrain:
     members = inliers.copy()
     members[gentle] |= part[labels]
     flat, along = surface.points @ np.linalg.svd(up[None])[2][1:].T, surface.points @ up
-    about = min(ABOUT, np.count_nonzero(members))
+    about = min(HEIGHT_POINTS, np.count_nonzero(members))
     ranks: Any = [*range(1, about + 1)]  # a list: with an axis of neighbours even for one
     _, below = KDTree(surface.points[members]).query(surface.points[~members], k=ranks)
     heights = np.zeros(len(members))
     heights[~members] = along[~members] - np.median(along[members][below], axis=1)
     band = max(BAND * plane.inlier_distance, surface.voxel)
-    near = band + REACH * surface.voxel
+    near = band + REACH_VOXELS * surface.voxel
     gap, _ = KDTree(surface.points[members]).query(surface.points, distance_upper_bound=near)
     return Terrain(
         up,
@@ -192,7 +187,7 @@ def distinct_terrains(surface: Surface, up: F64, planes: list[FittedPlane]) -> l
     return kept
 
 
-def _over_outline(surface: Surface, members: Bool, flat: F64, band: float) -> Bool:
+def _over_outline(surface: Surface, members: Mask, flat: F64, band: float) -> Mask:
     """Which points lie over the convex outline of the ground, in the plane's axes."""
     labels = surface.groups(members)
     sizes = np.bincount(labels, minlength=1)
@@ -203,7 +198,7 @@ def _over_outline(surface: Surface, members: Bool, flat: F64, band: float) -> Bo
     except (QhullError, ValueError):
         return np.zeros(len(flat), bool)
     outside = (flat @ edges[:, :2].T + edges[:, 2]).max(axis=1)
-    return outside < REACH * surface.voxel + band
+    return outside < REACH_VOXELS * surface.voxel + band
 
 
 def scene_evidence(surface: Surface, terrains: Sequence[Terrain]) -> list[dict[str, float]]:
@@ -246,7 +241,7 @@ def scene_evidence(surface: Surface, terrains: Sequence[Terrain]) -> list[dict[s
     return result
 
 
-def _standing(terrain: Terrain, clutter: Bool, labels: I32) -> float:
+def _standing(terrain: Terrain, clutter: Mask, labels: I32) -> float:
     """Let the groups of clutter vote for the side of the ground they stand on, or against it.
 
     Things do not float: a group that does not touch the ground votes against it. Each counts by

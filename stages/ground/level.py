@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-F64 = NDArray[np.float64]
+from spinpipe.schemas.arrays import F64
 
 COLUMN_VOXELS = 4.0
 """Edge of the columns whose lowest points are the ground, in voxels of the sample."""

@@ -10,11 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
-Bool = NDArray[np.bool_]
+from spinpipe.schemas.arrays import F64, I64, Mask
 
 LEVELS = 12
 """Doublings of the cells: from the sample's spacing to the whole scene."""
@@ -130,8 +127,8 @@ class _Level:
     """Row in this level of each cell of the level below."""
     columns: tuple[F64, ...]
     """As in ``Patches``, for every cell."""
-    flat: Bool
-    rough: Bool
+    flat: Mask
+    rough: Mask
     """Cells that have a shape, and not a flat one; the others have too few points to tell."""
     noise: F64
     """(C,) variance across the surface, within the smallest flat parts."""
@@ -139,7 +136,7 @@ class _Level:
     """Whether cells are as large as it takes to know normals."""
 
 
-def _components(moments: _Moments) -> tuple[tuple[F64, ...], Bool]:
+def _components(moments: _Moments) -> tuple[tuple[F64, ...], Mask]:
     """Columns of ``Patches`` for each cell, and which cells spread in two directions."""
     count, centre = moments.count, moments.first / moments.count[:, None]
     covariance = np.empty((len(count), 3, 3))

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-F64 = NDArray[np.float64]
+from spinpipe.schemas.arrays import F64
 
 NEIGHBOURS, MOST = 16, 64
 """Points in a local plane: to begin with, and where noise asks for more."""

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import F64, Mask
 from spinpipe.stages.ground.patches import Patches
-
-F64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 
 MOST = 300
 """Planes that are looked for, largest patches first; later ones are single patches."""
@@ -43,7 +41,7 @@ class Surfaces:
         """Number of surfaces."""
         return len(self.share)
 
-    def at(self, rows: NDArray[np.intp] | Bool) -> Surfaces:
+    def at(self, rows: NDArray[np.intp] | Mask) -> Surfaces:
         """Some of them."""
         return Surfaces(
             self.normal[rows],
@@ -87,7 +85,7 @@ def scene_surfaces(patches: Patches, points: int) -> Surfaces:
     return surfaces.at(np.argsort(-surfaces.share, kind="stable"))
 
 
-def _grown(patches: Patches, seed: int, left: Bool) -> tuple[Bool, tuple[F64, F64, float, float]]:
+def _grown(patches: Patches, seed: int, left: Mask) -> tuple[Mask, tuple[F64, F64, float, float]]:
     """Patches in the plane of one of them, and normal, centre, thickness and error of their fit."""
     members = np.zeros(len(left), bool)
     members[seed] = True
@@ -106,7 +104,7 @@ def _grown(patches: Patches, seed: int, left: Bool) -> tuple[Bool, tuple[F64, F6
     return members, plane
 
 
-def _fit(patches: Patches, members: Bool) -> tuple[F64, F64, float, float]:
+def _fit(patches: Patches, members: Mask) -> tuple[F64, F64, float, float]:
     """Least squares through patches: between their centres, and in the plane of each."""
     weight = patches.points[members] / patches.points[members].sum()
     normals = patches.normal[members]

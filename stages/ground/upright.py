@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import F64
 from spinpipe.stages.ground.evidence import (
     SLOPE_DEG,
     Surface,
@@ -19,8 +19,6 @@ from spinpipe.stages.ground.patches import FLOAT32_NOISE
 from spinpipe.stages.ground.plane import FittedPlane
 from spinpipe.stages.ground.surfaces import SIGMAS, Surfaces
 from spinpipe.stages.ground.vertical import LEAST_SUPPORT, Vertical
-
-F64 = NDArray[np.float64]
 
 CERTAIN = 0.95
 """No single piece of evidence rules a hypothesis out."""

@@ -11,11 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import F64
 from spinpipe.stages.ground.surfaces import Surfaces
-
-F64 = NDArray[np.float64]
 
 WITNESSES = 128
 """Largest surfaces that are heard; smaller ones are details."""

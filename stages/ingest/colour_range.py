@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.schemas.records import U8
+from spinpipe.schemas.arrays import U8
 
 
 def full_colour(chunks: Iterable[NDArray[Any]]) -> float:

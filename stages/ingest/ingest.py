@@ -8,13 +8,8 @@ import numpy as np
 from pydantic import Field
 
 from spinpipe.schemas import CAMERAS, CLOUD, SCENE, TILES
-from spinpipe.schemas.records import (
-    F32,
-    F64,
-    CloudTile,
-    SceneFrame,
-    TileIndex,
-)
+from spinpipe.schemas.arrays import F32, F64
+from spinpipe.schemas.records import CloudTile, SceneFrame, TileIndex
 from spinpipe.stages.ingest.open_scene import open_scene
 from spinpipe.stages.ingest.scatter_file import ScatterFile
 from spinpipe.stages.ingest.scene_source import SceneSource

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import KDTree
 
-from spinpipe.schemas.records import F64, I64
+from spinpipe.schemas.arrays import F64, I64
 from spinpipe.stages.geometry.shapes import face_areas_and_normals, sample_surface
 from spinpipe.stages.ingest.file_kind import file_kind
 from spinpipe.stages.ingest.open_scene import open_scene

@@ -9,7 +9,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from spinpipe.schemas.records import F64, ObjectModel
+from spinpipe.schemas.arrays import F64
+from spinpipe.schemas.records import ObjectModel
 from spinpipe.stages.geometry.frames import transform
 from spinpipe.stages.geometry.seen_from_above import sample_seen, seen_from_above, seen_from_around
 from spinpipe.stages.geometry.shapes import Mesh, face_areas_and_normals

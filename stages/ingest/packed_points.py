@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.schemas.records import F64, U8
+from spinpipe.schemas.arrays import F64, U8
 from spinpipe.stages.ingest.colour_range import full_colour, to_8_bit
 from spinpipe.stages.ingest.scene_source import white
 

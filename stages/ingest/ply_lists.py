@@ -13,6 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import I64, U8
+
 _BLOCK = 1 << 22
 """Bytes read at once; no single row may be longer than this."""
 
@@ -69,11 +71,11 @@ class ListRows:
 
 @njit(cache=True, nogil=True)
 def _walk(
-    block: NDArray[np.uint8],
-    sizes: NDArray[np.int64],
-    targets: NDArray[np.int64],
+    block: U8,
+    sizes: I64,
+    targets: I64,
     big_endian: bool,
-    packed: NDArray[np.uint8],
+    packed: U8,
 ) -> tuple[int, int]:
     """Copy the wanted scalars of each complete row; return how many rows and bytes that were."""
     end = used = 0

@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from spinpipe.schemas.records import F64, I64, U8, Vector
+from spinpipe.schemas.arrays import F64, I64, U8
+from spinpipe.schemas.records import Vector
 from spinpipe.stages.geometry.shapes import draw_on_faces, face_areas_and_normals
 from spinpipe.stages.ingest.coordinates import Coordinates, beside
 from spinpipe.stages.ingest.read_ply_faces import read_ply_mesh

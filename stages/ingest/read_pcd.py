@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import U8
 from spinpipe.stages.ingest.coordinates import Coordinates, beside
 from spinpipe.stages.ingest.packed_points import colours_of, xyz_of
 from spinpipe.stages.ingest.scene_source import About, Chunk
@@ -188,14 +189,14 @@ def _layout(entries: dict[str, list[str]]) -> tuple[np.dtype[Any], int]:
     return np.dtype([(n, k) if c == 1 else (n, k, c) for n, k, c in kinds]), points
 
 
-def unpack_lzf(packed: NDArray[np.uint8], size: int) -> NDArray[np.uint8] | None:
+def unpack_lzf(packed: U8, size: int) -> U8 | None:
     """``size`` bytes from LZF data; None where they are damaged."""
     data = np.empty(size, np.uint8)
     return data if _unpack_lzf(packed, data) else None
 
 
 @njit(cache=True, nogil=True)
-def _unpack_lzf(packed: NDArray[np.uint8], data: NDArray[np.uint8]) -> bool:
+def _unpack_lzf(packed: U8, data: U8) -> bool:
     read = write = 0
     while read < len(packed):
         control = np.int64(packed[read])

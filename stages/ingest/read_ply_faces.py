@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from spinpipe.schemas.records import F64, I64, U8
+from spinpipe.schemas.arrays import F64, I64, U8
 from spinpipe.stages.ingest.ply_header import PlyElement, PlyHeader
 from spinpipe.stages.ingest.read_ply import PlySource, read_header, skip_rows
 from spinpipe.stages.stage import StageError
@@ -138,7 +137,7 @@ def _strips(counts: I64, items: I64) -> I64:
 
 @njit(cache=True, nogil=True)
 def _walk(
-    data: NDArray[np.uint8],
+    data: U8,
     sizes: I64,
     wanted: int,
     swapped: bool,
@@ -170,7 +169,7 @@ def _walk(
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _number(data: NDArray[np.uint8], at: int, size: int, swapped: bool, signed: bool) -> int:
+def _number(data: U8, at: int, size: int, swapped: bool, signed: bool) -> int:
     value = np.int64(0)
     for byte in range(size):
         shift = 8 * (size - 1 - byte if swapped else byte)

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from spinpipe.schemas.records import F64, Cameras
+from spinpipe.schemas.arrays import F64
+from spinpipe.schemas.records import Cameras
 from spinpipe.stages.ingest.scene_source import About, MemorySource
 from spinpipe.stages.stage import StageError
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from spinpipe.schemas.records import F64
+from spinpipe.schemas.arrays import F64
 from spinpipe.stages.ingest.colour_range import full_colour, to_8_bit
 from spinpipe.stages.ingest.coordinates import Coordinates, beside, from_text
 from spinpipe.stages.ingest.scene_source import About, Chunk, white

@@ -9,6 +9,7 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import I64
 from spinpipe.stages.ingest.tiling import POINT
 
 
@@ -26,10 +27,10 @@ class ScatterFile:
     def __init__(self, folder: Path, leaves: int) -> None:
         self._file = TemporaryFile("w+b", dir=folder)  # noqa: SIM115  closed by __exit__
         self._leaves = leaves
-        self._starts: list[NDArray[np.int64]] = []
+        self._starts: list[I64] = []
         self._written = 0
 
-    def append(self, points: NDArray[np.void], leaf: NDArray[np.int64]) -> None:
+    def append(self, points: NDArray[np.void], leaf: I64) -> None:
         """Add points (N,) of dtype ``POINT`` that belong to the leaves (N,)."""
         small = leaf.astype(np.uint16) if self._leaves <= 1 << 16 else leaf
         order = np.argsort(small, kind="stable")  # a radix sort for 16 bits

@@ -11,7 +11,8 @@ from typing import Protocol
 
 import numpy as np
 
-from spinpipe.schemas.records import F64, U8, Cameras, Vector
+from spinpipe.schemas.arrays import F64, U8
+from spinpipe.schemas.records import Cameras, Vector
 from spinpipe.stages.ingest.coordinates import Coordinates
 
 Chunk = tuple[F64, U8]

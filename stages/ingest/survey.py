@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from spinpipe.schemas.records import F64, U8, Vector
+from spinpipe.schemas.arrays import F64, U8, Mask
+from spinpipe.schemas.records import Vector
 from spinpipe.stages.ingest.scene_source import SceneSource
 from spinpipe.stages.ingest.tiling import HashSample
 from spinpipe.stages.stage import Progress, StageError
@@ -146,7 +146,7 @@ def finite(source: SceneSource, chunk: int) -> Iterator[tuple[F64, U8, int]]:
             yield xyz[good], rgb[good], len(xyz)
 
 
-def within(xyz: F64, low: F64, high: F64) -> NDArray[np.bool_]:
+def within(xyz: F64, low: F64, high: F64) -> Mask:
     """Which of (N, 3) points lie in a closed box."""
     inside = np.ones(len(xyz), np.bool_)
     for axis in range(3):

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.schemas.arrays import U64
-from spinpipe.schemas.records import F32, F64, U8
+from spinpipe.schemas.arrays import F32, F64, I64, U8, U64, Mask
 from spinpipe.stages.geometry.hashing import GOLDEN, mix
 
 POINT = np.dtype([("xyz", np.float32, 3), ("rgb", np.uint8, 3)])
@@ -60,7 +59,7 @@ class HashSample:
         """The sample (S, 3)."""
         return np.concatenate(self._xyz)
 
-    def _below(self, hashes: U64) -> NDArray[np.bool_]:
+    def _below(self, hashes: U64) -> Mask:
         if self._bits >= 64:
             return np.zeros(len(hashes), np.bool_)
         return hashes <= np.uint64((1 << (64 - self._bits)) - 1)
@@ -80,7 +79,7 @@ def _hashed(xyz: F64) -> U64:
 class KdSplit:
     """A complete binary tree of axis-aligned cuts; leaf i is the i-th from the left."""
 
-    axes: NDArray[np.int64]
+    axes: I64
     """(nodes,) axis that node i cuts; its children are nodes 2 i + 1 and 2 i + 2."""
     cuts: F32
     """(nodes,) a point goes right where its coordinate is at least this; infinite: no cut."""
@@ -91,7 +90,7 @@ class KdSplit:
         """How many leaves there are; some may hold no point."""
         return 1 << self.depth
 
-    def leaf_of(self, xyz: F32) -> NDArray[np.int64]:
+    def leaf_of(self, xyz: F32) -> I64:
         """Leaf (N,) of each of the points (N, 3)."""
         node = np.zeros(len(xyz), np.int64)
         rows = np.arange(len(xyz))
@@ -179,7 +178,7 @@ def _without_copies(points: NDArray[np.void]) -> NDArray[np.void]:
     return points[~copies] if copies.any() else points
 
 
-def _canonical_order(points: NDArray[np.void]) -> NDArray[np.int64]:
+def _canonical_order(points: NDArray[np.void]) -> I64:
     """Order along a Morton curve [Morton 1966]; points in one cell by coordinates and colour."""
     xyz: F32 = points["xyz"]
     low = xyz.min(axis=0)

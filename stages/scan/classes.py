@@ -12,8 +12,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import F32, I32, U32
 from spinpipe.stages.compiled import inner
 from spinpipe.stages.scan.count import BUFFER, idle_lanes
 from spinpipe.stages.scan.gather import LANES, fill
@@ -22,7 +22,7 @@ MAX_SHIFT_BINS = 3.0
 """Groups are tested from this reach ``d`` on; wider ones are split first."""
 MAX_LIFT_BINS = 1.0
 """The same for ``e``."""
-MARGIN_BINS = 1e-3
+SHIFT_MARGIN_BINS = 1e-3
 """Widening of ``d`` and ``e``, far above the rounding of float32 bin coordinates."""
 COPIES = 2
 """Interleaved tallies, see ``count.COPIES``."""
@@ -47,20 +47,20 @@ class Classes(NamedTuple):
 class TestScratch(NamedTuple):
     """Memory of one thread for tests: of the widest group."""
 
-    numbers: NDArray[np.int32]
-    lanes: NDArray[np.int32]
-    tallies: NDArray[np.uint32]
-    middle: NDArray[np.float32]
-    value: NDArray[np.float32]
-    largest: NDArray[np.float32]
-    line: NDArray[np.float32]
-    total: NDArray[np.float32]
+    numbers: I32
+    lanes: I32
+    tallies: U32
+    middle: F32
+    value: F32
+    largest: F32
+    line: F32
+    total: F32
 
 
 @inner
 def widened(extent, bins):
     """Add the margin to a reach in bins, such that twice it is no whole number."""
-    reach = extent + MARGIN_BINS + 1e-6 * bins
+    reach = extent + SHIFT_MARGIN_BINS + 1e-6 * bins
     part = 2 * reach - np.floor(2 * reach)
     if part < 0.01:
         reach += 0.005
@@ -76,9 +76,14 @@ def lay_out(rows, cols, d, e):
     shift_col, shift_row = D // 2 + 2, E + 2
     half = (cols + D + shift_col + 3 + LANES - 1) // LANES * LANES
     return Classes(
-        np.float32(d), np.float32(e), np.int32(shift_col), np.int32(shift_row),
-        np.int32(2 * shift_row - E - 2), np.int32(2 * rows + 2 * E + 6), np.int32(half),
-    )  # fmt: skip
+        d=np.float32(d),
+        e=np.float32(e),
+        shift_col=np.int32(shift_col),
+        shift_row=np.int32(shift_row),
+        base=np.int32(2 * shift_row - E - 2),
+        rows=np.int32(2 * rows + 2 * E + 6),
+        half=np.int32(half),
+    )
 
 
 def make_test_scratch(rows: int, cols: int) -> TestScratch:
@@ -86,14 +91,14 @@ def make_test_scratch(rows: int, cols: int) -> TestScratch:
     widest = lay_out.py_func(rows, cols, MAX_SHIFT_BINS + 1, MAX_LIFT_BINS + 1)
     half = int(widest.half)
     return TestScratch(
-        np.empty(BUFFER, np.int32),
-        idle_lanes(),
-        np.empty((COPIES, 2 * int(widest.rows) * half + LANES), np.uint32),
-        np.empty((rows, half), np.float32),
-        np.empty((rows, 2 * half), np.float32),
-        np.empty((2, rows, half), np.float32),
-        np.empty(half, np.float32),
-        np.empty(half, np.float32),
+        numbers=np.empty(BUFFER, np.int32),
+        lanes=idle_lanes(),
+        tallies=np.empty((COPIES, 2 * int(widest.rows) * half + LANES), np.uint32),
+        middle=np.empty((rows, half), np.float32),
+        value=np.empty((rows, 2 * half), np.float32),
+        largest=np.empty((2, rows, half), np.float32),
+        line=np.empty(half, np.float32),
+        total=np.empty(half, np.float32),
     )
 
 
@@ -120,7 +125,7 @@ def _number_classes(x, y, z, mx, my, mz, reach_sq, scale, bottom, classes, lanes
 def count_classes(near, begin, end, mx, my, mz, reach_sq, grid, classes, scratch):
     """Count the classes of ``near[begin:end]`` into ``scratch.tallies[0]``; return their sum."""
     size = np.int64(classes.rows) * 2 * classes.half
-    bottom = np.float32(grid.height * grid.bins_per_m + classes.shift_row + MARGIN_BINS)
+    bottom = np.float32(grid.height * grid.bins_per_m + classes.shift_row + SHIFT_MARGIN_BINS)
     for copy in range(COPIES):
         fill(scratch.tallies[copy, : size + LANES], 0)
     t0, t1 = scratch.tallies[0], scratch.tallies[1]

@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from spinpipe.schemas.records import F32
+from spinpipe.schemas.arrays import F32, Mask
 from spinpipe.stages.scan.correlate import BELOW, ScanWork, correlate
 from spinpipe.stages.scan.index import SpinIndex
 from spinpipe.stages.scan.templates import Templates
@@ -19,7 +18,7 @@ from spinpipe.stages.scan.voxels import Voxels
 
 VOXEL_RADII = 1 / 8
 """Side of a voxel, in radii of the spin image: correlations change little within it."""
-MARGIN = 0.2
+PROMISE_MARGIN = 0.2
 """How much lower the correlation of a promising voxel's representative may be."""
 
 
@@ -31,17 +30,17 @@ def halo_m(voxel_m: float) -> float:
 def correlate_coarse_to_fine(
     index: SpinIndex,
     origins: F32,
-    own: NDArray[np.bool_],
+    own: Mask,
     templates: Templates,
     threads: int = 1,
     *,
     min_correlation: float,
     voxel_m: float,
-    margin: float = MARGIN,
+    margin: float = PROMISE_MARGIN,
     pruned: bool = False,
     advance: Callable[[int], None] | None = None,
     work: ScanWork | None = None,
-) -> NDArray[np.float32]:
+) -> F32:
     """Correlations of the representatives and of all origins near promising ones.
 
     Parameters

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import F32, I64, U32
 from spinpipe.stages.scan.classes import make_test_scratch
 from spinpipe.stages.scan.count import make_scratch
 from spinpipe.stages.scan.image import SpinGrid
@@ -31,7 +32,7 @@ BELOW = np.float32(-1)
 CHUNK_ORIGINS = 8192
 """Origins handed to a thread at once."""
 
-SHARING = 64
+SHARING_ORIGINS = 64
 """Origins of a block among which the cost of gathering is small."""
 
 
@@ -48,7 +49,7 @@ class ScanWork:
     """Origins whose spin image was made."""
 
 
-def histograms(index: SpinIndex, origins: NDArray[Any], grid: SpinGrid) -> NDArray[np.uint32]:
+def histograms(index: SpinIndex, origins: NDArray[Any], grid: SpinGrid) -> U32:
     """Spin images at many origins, identical to ``spin_image`` at each.
 
     Parameters
@@ -79,7 +80,7 @@ def correlate(
     min_correlation: float | None = None,
     advance: Callable[[int], None] | None = None,
     work: ScanWork | None = None,
-) -> NDArray[np.float32]:
+) -> F32:
     """Correlation of the spin image at every origin with every template, in one pass.
 
     Parameters
@@ -117,7 +118,7 @@ def correlate(
         blocks = OriginBlocks.of(origins, grid.radius_m / 3.5, 4096)
     found = np.full((templates.size, len(blocks.order)), BELOW)
 
-    def scan(chunk: tuple[int, int]) -> tuple[int, NDArray[np.int64]]:
+    def scan(chunk: tuple[int, int]) -> tuple[int, I64]:
         first, last = chunk
         start = blocks.start
         cost = np.zeros(3, np.int64)
@@ -157,9 +158,9 @@ class OriginBlocks:
         First of each block.
     """
 
-    origins: NDArray[np.float32]
-    order: NDArray[np.int64]
-    start: NDArray[np.int64]
+    origins: F32
+    order: I64
+    start: I64
 
     @classmethod
     def of(
@@ -175,7 +176,7 @@ class OriginBlocks:
             raise ValueError("scan: origins hold NaN or infinite coordinates; drop them")
         if len(points) == 0:
             return cls(points, np.zeros(0, np.int64), np.zeros(1, np.int64))
-        side_m = max(side_m, min(side_for(points, SHARING), widest_m))
+        side_m = max(side_m, min(side_for(points, SHARING_ORIGINS), widest_m))
         order, square, *_ = sort_by_cell(points, side_m)
         fresh = np.r_[True, square[1:] != square[:-1]]
         first = np.flatnonzero(fresh)

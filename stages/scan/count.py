@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import F64, I32, I64, U32
 from spinpipe.stages.compiled import inlined, inner
 from spinpipe.stages.scan.gather import LANES, depth_window, fill
 
@@ -32,15 +32,15 @@ class Scratch(NamedTuple):
     whose 64 bits would halve the vectors. ``moments`` (2,): sum of the counts and of their squares.
     """
 
-    numbers: NDArray[np.int32]
-    lanes: NDArray[np.int32]
-    counts: NDArray[np.uint32]
-    image: NDArray[np.uint32]
-    moments: NDArray[np.int64]
-    sums: NDArray[np.float64]
+    numbers: I32
+    lanes: I32
+    counts: U32
+    image: U32
+    moments: I64
+    sums: F64
 
 
-def idle_lanes() -> NDArray[np.int32]:
+def idle_lanes() -> I32:
     """Make what spreads the points that do not count over idle counters, see ``Scratch``."""
     return np.arange(BUFFER, dtype=np.int32) % np.int32(LANES)
 
@@ -48,12 +48,12 @@ def idle_lanes() -> NDArray[np.int32]:
 def make_scratch(k: int) -> Scratch:
     """Allocate one thread's memory for a grid of ``k`` bins."""
     return Scratch(
-        np.empty(BUFFER, np.int32),
-        idle_lanes(),
-        np.empty((COPIES, k + LANES), np.uint32),
-        np.empty(k, np.uint32),
-        np.empty(2, np.int64),
-        np.empty((2, k)),
+        numbers=np.empty(BUFFER, np.int32),
+        lanes=idle_lanes(),
+        counts=np.empty((COPIES, k + LANES), np.uint32),
+        image=np.empty(k, np.uint32),
+        moments=np.empty(2, np.int64),
+        sums=np.empty((2, k)),
     )
 
 

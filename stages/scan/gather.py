@@ -14,13 +14,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import F32, I64
 from spinpipe.stages.compiled import inlined, inner
 
 LANES = 16
 """Points handled at once by the vectorised loops; runs are read in whole multiples."""
-SLACK = 1e-5
+SEARCH_SLACK = 1e-5
 """Relative widening of the search for cells, far above the rounding of float32."""
 BUCKETS = 512
 """Steps of the order by depth."""
@@ -39,11 +39,11 @@ class Nearby(NamedTuple):
     the least height in it, NaN until it is asked for.
     """
 
-    x: NDArray[np.float32]
-    y: NDArray[np.float32]
-    z: NDArray[np.float32]
-    first: NDArray[np.int64]
-    lowest: NDArray[np.float32]
+    x: F32
+    y: F32
+    z: F32
+    first: I64
+    lowest: F32
     top: np.float32
     per_m: np.float32
 
@@ -106,7 +106,7 @@ def _collect_runs(index, box, radius, height):
     """Find the runs of points that origins inside ``box`` may reach: their number, (2, cap)."""
     z = index.xyz[2]
     cell_m, nx, ny = index.cell_m, index.cells[0], index.cells[1]
-    reach = radius * (1.0 + SLACK) + 1e-9 * cell_m * max(nx, ny)
+    reach = radius * (1.0 + SEARCH_SLACK) + 1e-9 * cell_m * max(nx, ny)
     x0, x1 = np.float64(box[0]) - index.corner[0], np.float64(box[1]) - index.corner[0]
     y0, y1 = np.float64(box[2]) - index.corner[1], np.float64(box[3]) - index.corner[1]
     runs = np.empty((2, 16), np.int64)
@@ -119,7 +119,7 @@ def _collect_runs(index, box, radius, height):
         if ix > last_ix:
             break
         gap = max(max(ix * cell_m - x1, x0 - (ix + 1) * cell_m), 0.0)
-        half = np.sqrt(max(reach * reach - gap * gap, 0.0)) + SLACK * reach
+        half = np.sqrt(max(reach * reach - gap * gap, 0.0)) + SEARCH_SLACK * reach
         first_iy = min(max(np.floor((y0 - half) / cell_m), 0.0), np.float64(ny))
         last_iy = min(np.floor((y1 + half) / cell_m), ny - 1.0)
         if first_iy <= last_iy:

@@ -6,13 +6,14 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+
+from spinpipe.schemas.arrays import F64
 
 MIN_CORRELATION = 0.6
 """Of images of many points [Bovenkamp 2010, section 3.1]."""
 
 
-def hit_threshold(expected: Sequence[NDArray[np.float64]]) -> float:
+def hit_threshold(expected: Sequence[F64]) -> float:
     """Least correlation that shows the least well counted of some models as well as others.
 
     Parameters
@@ -22,7 +23,7 @@ def hit_threshold(expected: Sequence[NDArray[np.float64]]) -> float:
     return MIN_CORRELATION * min((counting_loss(counts) for counts in expected), default=1.0)
 
 
-def counting_loss(expected: NDArray[np.float64]) -> float:
+def counting_loss(expected: F64) -> float:
     """Correlation of counts with what is expected of them, 0..1.
 
     Counts ``c`` of independent points have the variance ``l`` where ``l`` of them are expected, so

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import U32
 from spinpipe.stages.scan.count import FLAT_VARIANCE
 
 MAX_BINS = 60_000
@@ -100,7 +101,7 @@ def _ceil_quotient(length: float, step: float) -> int:
     return max(1, math.ceil(quotient - 1e-6 * max(1.0, quotient)))
 
 
-def spin_image(points: NDArray[Any], origin: NDArray[Any], grid: SpinGrid) -> NDArray[np.uint32]:
+def spin_image(points: NDArray[Any], origin: NDArray[Any], grid: SpinGrid) -> U32:
     """Count the points around one origin: the plain twin of the compiled kernels.
 
     Parameters

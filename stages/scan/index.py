@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import F32, F64, I64
 from spinpipe.stages.geometry.columns import key_and_height
 from spinpipe.stages.scan.gather import PAD
 
@@ -42,12 +43,12 @@ class SpinIndex(NamedTuple):
         Side of a cell.
     """
 
-    xyz: NDArray[np.float32]
-    start: NDArray[np.int64]
-    key: NDArray[np.int64]
-    bounds: NDArray[np.float32]
-    corner: NDArray[np.float64]
-    cells: NDArray[np.int64]
+    xyz: F32
+    start: I64
+    key: I64
+    bounds: F32
+    corner: F64
+    cells: I64
     cell_m: float
 
     @property
@@ -105,9 +106,7 @@ def build_index(points: NDArray[Any], cell_m: float | None = None) -> SpinIndex:
     return SpinIndex(xyz, start, key[first], bounds, corner, cells, side)
 
 
-def sort_by_cell(
-    cloud: NDArray[np.float32], side: float
-) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], float]:
+def sort_by_cell(cloud: F32, side: float) -> tuple[NDArray[np.intp], I64, F64, I64, float]:
     """Order points by horizontal cell, then by height.
 
     Parameters
@@ -140,7 +139,7 @@ def sort_by_cell(
     return order, key[order], corner, cells, side
 
 
-def side_for(cloud: NDArray[np.float32], points: float) -> float:
+def side_for(cloud: F32, points: float) -> float:
     """Side of a square that holds about so many points of a cloud, metres.
 
     Measured in the middle nine tenths along x and y: outliers are ignored.

@@ -21,9 +21,9 @@ import numpy as np
 
 from spinpipe.stages.compiled import inner
 from spinpipe.stages.scan.classes import (
-    MARGIN_BINS,
     MAX_LIFT_BINS,
     MAX_SHIFT_BINS,
+    SHIFT_MARGIN_BINS,
     count_classes,
     lay_out,
     mean_image,
@@ -71,12 +71,12 @@ def _bin_values(grid, weights, values, least, shift, scratch):
             line[c] = np.float32(values[i] - weights[i] * factor * (middle[r, c] - mean))
             largest = max(largest, abs(line[c]))
     # The last row and column may reach beyond the image.
-    if grid.height * grid.bins_per_m < rows - MARGIN_BINS:
+    if grid.height * grid.bins_per_m < rows - SHIFT_MARGIN_BINS:
         for c in range(cols):
             scratch.value[rows - 1, shift + c] = max(
                 scratch.value[rows - 1, shift + c], np.float32(0)
             )
-    if np.sqrt(grid.radius_sq) * grid.bins_per_m < cols - MARGIN_BINS:
+    if np.sqrt(grid.radius_sq) * grid.bins_per_m < cols - SHIFT_MARGIN_BINS:
         for r in range(rows):
             scratch.value[r, shift + cols - 1] = max(
                 scratch.value[r, shift + cols - 1], np.float32(0)

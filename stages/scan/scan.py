@@ -22,15 +22,8 @@ from spinpipe.schemas import (
     TILES,
     UPRIGHT,
 )
-from spinpipe.schemas.records import (
-    F32,
-    F64,
-    Hits,
-    ObjectModel,
-    Sampling,
-    ScoreTile,
-    SpinImage,
-)
+from spinpipe.schemas.arrays import F32, F64
+from spinpipe.schemas.records import Hits, ObjectModel, Sampling, ScoreTile, SpinImage
 from spinpipe.stages.geometry.frames import vector
 from spinpipe.stages.geometry.model_surface import points_on, topmost_point
 from spinpipe.stages.geometry.world_cloud import WorldCloud

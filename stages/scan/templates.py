@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.schemas.records import F64
+from spinpipe.schemas.arrays import F64, I32, Mask
 from spinpipe.stages.geometry.model_surface import topmost_point
 from spinpipe.stages.scan.image import SpinGrid, is_flat, spin_image
 
 LARGEST_PART = 2**30
 """Integer that stands for a template's largest value: a product of counts then fits 63 bits."""
-MARGIN_BINS = 1
+EXTENT_MARGIN_BINS = 1
 """Bins beyond the model's farthest point that still belong to it: noise carries points there."""
 
 
@@ -27,20 +27,20 @@ class Templates(NamedTuple):
     """
 
     grid: SpinGrid
-    images: NDArray[np.float64]
+    images: F64
     """(T, rows, cols)"""
-    weights: NDArray[np.float64]
+    weights: F64
     """(T, k), of sum 1."""
-    even: NDArray[np.bool_]
+    even: Mask
     """(T,) whether all bins weigh alike."""
-    alike: NDArray[np.bool_]
+    alike: Mask
     """(T,) whether the weights are those of the template before."""
-    values: NDArray[np.float64]
+    values: F64
     """(T, k) weights times the image brought to weighted mean 0 and weighted square sum 1; all 0
     where the image is constant, so that its correlations are 0."""
-    parts: NDArray[np.int32]
+    parts: I32
     """(T, k) the same in whole multiples of ``unit``."""
-    unit: NDArray[np.float64]
+    unit: F64
     """(T,)"""
 
     @classmethod
@@ -142,5 +142,5 @@ def extent_weights(image: NDArray[np.floating], outside: float) -> F64:
     (rows, cols) float64 array
     """
     columns = np.arange(image.shape[1])
-    farthest = np.where(image > 0, columns, -1 - MARGIN_BINS).max(axis=1, keepdims=True)
-    return np.where(columns <= farthest + MARGIN_BINS, 1.0, outside)
+    farthest = np.where(image > 0, columns, -1 - EXTENT_MARGIN_BINS).max(axis=1, keepdims=True)
+    return np.where(columns <= farthest + EXTENT_MARGIN_BINS, 1.0, outside)

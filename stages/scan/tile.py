@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import F32, Mask
 from spinpipe.schemas.colormap import viridis
-from spinpipe.schemas.records import F32, ScoreTile
+from spinpipe.schemas.records import ScoreTile
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.scan.coarse_to_fine import correlate_coarse_to_fine, halo_m
 from spinpipe.stages.scan.correlate import BELOW, correlate
@@ -19,7 +19,6 @@ from spinpipe.stages.scan.templates import Templates
 from spinpipe.stages.scan.voxels import Voxels
 
 Origins = Literal["all", "voxel", "subset"]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -93,7 +92,7 @@ class TileScan:
         low, high = self.cloud.low[tile] - margin_m, self.cloud.high[tile] + margin_m
         return around, own, eligible & np.all((around >= low) & (around <= high), axis=1)
 
-    def _scores(self, origins: F32, correlation: NDArray[np.float32]) -> ScoreTile:
+    def _scores(self, origins: F32, correlation: F32) -> ScoreTile:
         best = correlation.max(axis=1, initial=BELOW)
         kept = best > BELOW
         return ScoreTile(

@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from spinpipe.schemas.records import F32, F64, I64
+from spinpipe.schemas.arrays import F32, F64, I64, Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +49,13 @@ class Voxels:
         key = voxel @ stride
         return cls(key, near @ stride, _nearest_to_centre(points, key, distance))
 
-    def represents(self) -> NDArray[np.bool_]:
+    def represents(self) -> Mask:
         """(N,) whether each point represents its voxel."""
         chosen = np.zeros(len(self.key), np.bool_)
         chosen[self.representatives] = True
         return chosen
 
-    def touching(self, rows: I64) -> NDArray[np.bool_]:
+    def touching(self, rows: I64) -> Mask:
         """(N,) whether each point's voxel is that of one of ``rows`` or touches it."""
         wanted = np.unique(self.key[rows])
         wanted = np.unique(wanted[:, None] + self.steps)

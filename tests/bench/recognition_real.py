@@ -10,19 +10,16 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from recognition_judge import Trial, judge
 
 from spinpipe.pipeline.atomic import write_atomically
 from spinpipe.pipeline.config import load_config
 from spinpipe.pipeline.evaluation.truth import TruthObject
 from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
+from spinpipe.schemas.arrays import F64, U8
 from spinpipe.schemas.records import Detection
 from spinpipe.stages.geometry.frames import yaw_matrix
 from spinpipe.stages.ingest.open_scene import open_scene
-
-F64 = NDArray[np.float64]
-U8 = NDArray[np.uint8]
 
 CONFIG = Path(__file__).parents[2] / "recordings" / "carpark.toml"
 MATCH_M = 1.5

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, grey_closing
 
+from spinpipe.schemas.arrays import F64
 from spinpipe.stages.geometry.frames import yaw_matrix
 from spinpipe.stages.geometry.seen_from_above import seen_from_above
 from spinpipe.stages.geometry.shapes import (
@@ -21,7 +21,6 @@ from spinpipe.stages.geometry.shapes import (
     surface_area,
 )
 
-F64 = NDArray[np.float64]
 View = Literal["all", "above", "skin"]
 
 # Elevations of the rays, degrees: cameras all around, or a drone's nadir and oblique photos

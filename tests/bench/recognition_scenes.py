@@ -14,16 +14,15 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from recognition_objects import Sought
 from recognition_sampling import Ground, Thing, View, points_of
 
 from spinpipe.pipeline.atomic import write_atomically
 from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
+from spinpipe.schemas.arrays import F64
 from spinpipe.stages.geometry.frames import yaw_matrix
 from spinpipe.stages.geometry.shapes import Mesh, box, cylinder, ellipsoid, placed
 
-F64 = NDArray[np.float64]
 Disc = tuple[float, float, float]
 """x, y, radius, metres."""
 

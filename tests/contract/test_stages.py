@@ -30,14 +30,7 @@ from spinpipe.schemas import (
     TILES,
     UPRIGHT,
 )
-from spinpipe.schemas.records import (
-    CloudTile,
-    Cluster,
-    Hits,
-    SceneFrame,
-    TileIndex,
-    Upright,
-)
+from spinpipe.schemas.records import CloudTile, Cluster, Hits, SceneFrame, TileIndex, Upright
 from spinpipe.schemas.topics import Topic
 from spinpipe.stages import STAGES
 from spinpipe.stages.stage import Section, Stage, StageError
