@@ -13,7 +13,9 @@ from pathlib import Path
 from shutil import which
 from typing import TYPE_CHECKING, Literal
 from urllib.parse import urlsplit
+from weakref import WeakKeyDictionary
 
+from spinpipe.pipeline.atomic import naming
 from spinpipe.stages.stage import StageError
 
 if TYPE_CHECKING:
@@ -29,6 +31,10 @@ _FLUSH_S = 10.0
 """Without a byte written meanwhile nothing more will be."""
 _END, _END_BYTES = b"RRF2FOOT", 64
 """How a complete file ends [Rerun 0.41, re_log_encoding]."""
+
+_DISPLAYS = {"DISPLAY", "WAYLAND_DISPLAY"}
+_streams: WeakKeyDictionary[rr.RecordingStream, rr.BinaryStream] = WeakKeyDictionary()
+"""What recordings that are only saved have encoded: written at their end, by us."""
 
 RecordMode = Literal["save", "spawn", "connect", "off"]
 
@@ -59,22 +65,28 @@ def open_recording(
         return None
     if mode == "connect":
         _check_viewer(url or DEFAULT_URL)
+    if mode == "spawn" and sys.platform == "linux" and not os.environ.keys() & _DISPLAYS:
+        raise StageError("--rerun spawn: no display here; use --rerun save and open run.rrd later")
     import rerun as rr
+    import rerun_bindings
 
+    rerun_bindings.flush_and_cleanup_orphaned_recordings()  # they keep their threads otherwise
     rec = rr.RecordingStream(APPLICATION_ID, recording_id=run_name)
     # a run has no clock: only the timelines of ``drawing`` exist
     rec.set_log_time_enabled(False)
     rec.set_log_tick_enabled(False)
     rec.send_recording_name(run_name)
-    sinks: list[rr.FileSink | rr.GrpcSink] = [rr.FileSink(str(path))]
+    try:
+        path.write_bytes(b"")
+    except OSError as error:
+        raise StageError(f"{path}: the recording cannot be written: {error.strerror}") from None
+    if mode == "save":
+        # Rerun's own writer of files waits for ever once the disk is full
+        _streams[rec] = rec.binary_stream()
+        return rec
     if mode == "spawn":
         rr.spawn(connect=False, executable_path=find_viewer(), recording=rec)
-    if mode in ("spawn", "connect"):
-        sinks.append(rr.GrpcSink(url or DEFAULT_URL))
-    try:
-        rec.set_sinks(*sinks)
-    except RuntimeError as error:
-        raise StageError(f"the recording cannot be written: {error}") from error
+    rec.set_sinks(rr.FileSink(str(path)), rr.GrpcSink(url or DEFAULT_URL))
     return rec
 
 
@@ -101,14 +113,21 @@ def record_stage(
 def close_recording(rec: rr.RecordingStream, path: Path) -> None:
     """Write everything out and end the recording: the file is complete then.
 
-    Rerun neither tells of a full disk nor comes back from one: the file must go on growing while
-    it is written out, and bear the mark of a complete one at its end.
+    Where Rerun writes the file itself, beside a viewer, it neither tells of a full disk nor comes
+    back from one: the file must go on growing while it is written out, and bear the mark of a
+    complete one at its end.
 
     Raises
     ------
     StageError
         When the file could not be written. A viewer that was closed meanwhile is no error.
     """
+    if (stream := _streams.pop(rec, None)) is not None:
+        data = stream.read(flush=True)
+        rec.disconnect()
+        with naming(path.with_suffix("")):
+            path.write_bytes(data or b"")
+        return
     size = -1
     while size < (size := path.stat().st_size):
         try:
