@@ -1,5 +1,5 @@
 # The daily verbs. `make check` is what continuous integration runs.
-.PHONY: setup demo test lint types imports check format bench proto
+.PHONY: setup demo test lint types imports check format bench proto audit
 
 setup:    ## install everything that uv.lock names
 	uv sync --locked
@@ -21,6 +21,10 @@ imports:  ## schemas <- stages <- pipeline; the links in typings/ let the linter
 	PYTHONPATH=typings uv run lint-imports
 
 check: lint types imports test   ## all checks
+
+audit:    ## known weaknesses of what is installed; needs the advisory database of PyPI
+	uv export --locked --no-dev --no-emit-project --format requirements-txt -q -o .audit.txt
+	uvx pip-audit --disable-pip --require-hashes -r .audit.txt; status=$$?; rm .audit.txt; exit $$status
 
 format:   ## mend what can be mended
 	uv run ruff check --fix
