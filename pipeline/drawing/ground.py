@@ -103,8 +103,7 @@ def _summary(plane: Plane) -> str:
         "## Ground",
         f"- up decided by: {plane.up_source}",
         f"- the cloud was tilted by {tilt_deg:.2f} degrees",
-        f"- {plane.inliers:,} of {plane.points:,} points ({share:.0%}) within "
-        f"{plane.inlier_distance_m:.3f} m, rms {plane.rms_m:.3f} m",
+        f"- {share:.0%} of the surface is ground, rms {plane.rms_m:.3f} m",
         "",
     ]
     if plane.evidence:

@@ -78,6 +78,8 @@ class Ground:
         ctx.write(SAMPLING, sampling)
         share = plane.inliers / plane.points
         ctx.log(f"up is {format_vector(up)} in scene axes (from {plane.up_source})")
+        if plane.evidence:
+            ctx.log("for it " + ", ".join(f"{e.name} {e.value:+.2f}" for e in plane.evidence))
         ctx.log(f"ground rms {plane.rms_m:.3f} m, {share:.0%} of the surface")
         ctx.log(f"points {sampling.spacing_m:.3f} m apart, noise {sampling.noise_m:.3f} m")
 
