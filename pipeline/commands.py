@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.console import Console
 
+from spinpipe.pipeline.advice import advice
 from spinpipe.pipeline.atomic import write_atomically
 from spinpipe.pipeline.config import ConfigError, RunConfig, load_config
 from spinpipe.pipeline.context import RunReader, thread_count
@@ -91,6 +92,8 @@ def execute(
         if stages[-1:] == ["verify"]:
             detections = write_results(config, read, folder, report, outputs, key)
             console.print(detection_table(detections))
+            for line in advice(read, detections):
+                console.print(f"- {line}", highlight=False, markup=False, soft_wrap=True)
             console.print(f"results in {folder.path}/", highlight=False, soft_wrap=True)
         else:
             console.print(f"stopped after {stages[-1]}; results in {folder.path}/", highlight=False)

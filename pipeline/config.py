@@ -129,11 +129,21 @@ def load_config(path: Path, overrides: Iterable[str] = ()) -> RunConfig:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+        hint = _backslash_hint(path, error)
+        raise ConfigError(f"{path}: not valid TOML: {error}{hint}") from None
     _require_sections(raw, path)
     for override in overrides:
         _override(raw, override)
     return _validate(raw, path)
+
+
+def _backslash_hint(path: Path, error: Exception) -> str:
+    """What to do about a Windows path in double quotes: TOML takes its backslashes for escapes."""
+    line = re.search(r"\(at line (\d+)", str(error))
+    text = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    if line and re.search(r'"[^"]*\\[^"]*"', text[min(int(line[1]), len(text)) - 1]):
+        return "; write paths with / or in single quotes: scene = 'C:\\data\\scene.ply'"
+    return ""
 
 
 def _require_sections(raw: dict[str, Any], path: Path) -> None:

@@ -63,6 +63,10 @@ class SceneFrame:
     up: tuple[float, ...] = ()
     """Which way is up by the file's format or coordinate system, scene frame; empty if unsaid."""
     up_reason: str = ""
+    spacing_m: float = 0.0
+    """Typical distance of neighbouring points; 0 where they are too few."""
+    step_m: float = 0.0
+    """Grid that the coordinates are written on, along the coarsest axis; 0 without one."""
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, PositiveFloat
 
 from spinpipe.schemas import CAMERAS, CLOUD, SCENE, TILES
 from spinpipe.schemas.arrays import F32, F64
 from spinpipe.schemas.records import CloudTile, SceneFrame, TileIndex
 from spinpipe.stages.ingest.open_scene import open_scene
+from spinpipe.stages.ingest.sanity import (
+    coarse_steps,
+    refuse_degrees,
+    scale_note,
+    scale_of,
+    scene_line,
+)
 from spinpipe.stages.ingest.scatter_file import ScatterFile
 from spinpipe.stages.ingest.scene_source import SceneSource
 from spinpipe.stages.ingest.survey import Survey, finite, left_out, survey, within
@@ -36,7 +43,11 @@ class Ingest:
         scene: InputPath = Field(
             description="cloud or mesh in any common format, or folder of a COLMAP model"
         )
-        scale: float = Field(default=1.0, gt=0, description="metres per unit of the scene")
+        scale: PositiveFloat | tuple[PositiveFloat, PositiveFloat, PositiveFloat] | None = Field(
+            default=None,
+            description="metres per unit of the scene, or [x, y, z] where z has another; "
+            "none: as the file says, else 1",
+        )
         tile_points: int = Field(
             default=262_144, ge=1024, le=1_048_576, description="most points of a tile"
         )
@@ -47,20 +58,35 @@ class Ingest:
         source = open_scene(config.scene)
         progress = ctx.progress("points read", source.points)
         found = survey(source, str(config.scene), _chunk_points(ctx.memory_bytes), progress)
-        for note in (*source.about.notes, *left_out(found)):
-            ctx.log(note)
+        said = source.about.coordinates
+        scale = scale_of(config.scale, said, config.scene)
+        spacing_m = found.spacing(scale)
+        ctx.log(scene_line(source, found, scale, spacing_m))
+        if config.scale is None:
+            refuse_degrees(found, config.scene)
+        steps = coarse_steps(found, scale, spacing_m)
+        for note in (
+            *source.about.notes,
+            *left_out(found),
+            scale_note(config.scale, said),
+            f"odd: {steps}" if steps else "",
+        ):
+            if note:
+                ctx.log(note)
         frame = SceneFrame(
             origin=found.origin,
-            scale=(config.scale, config.scale, config.scale),
+            scale=scale,
             points=found.points - found.strays,
             dropped=found.dropped,
             coloured=source.coloured,
             source=config.scene.name,
             strays=found.strays,
             kind=source.about.kind,
-            crs=source.about.coordinates.crs,
-            up=source.about.up or (),
-            up_reason=source.about.up_reason,
+            crs=said.crs,
+            up=source.about.known_up or (),
+            up_reason=source.about.known_up_reason,
+            spacing_m=spacing_m,
+            step_m=float(max(np.array(found.steps) * scale)),
         )
         index = _write_tiles(source, frame, found, ctx)
         points = int(index.counts.sum())

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import numpy as np
 from pydantic import Field, field_validator
 
 from spinpipe.schemas import MODELS, SCENE, TILES
-from spinpipe.schemas.records import ObjectModel, SceneFrame, TileIndex
 from spinpipe.stages.ingest.object_model import ModelConfig, load_model
-from spinpipe.stages.stage import Context, Section, StageError
+from spinpipe.stages.ingest.sanity import model_line, oddities, require_possible
+from spinpipe.stages.stage import Context, Section
 
 
 class Model:
     """Read the objects to look for: a stage of its own, so that another one costs no import."""
 
     name = "model"
-    version = 1
+    version = 2
     inputs = (TILES, SCENE)
     outputs = (MODELS,)
 
@@ -34,21 +33,13 @@ class Model:
             return models
 
     def run(self, ctx: Context[Config]) -> None:
-        """Write every model that has room in the scene."""
+        """Write every model that the scene can show."""
         tiles, scene = ctx.read_one(TILES), ctx.read_one(SCENE)
+        scene_m = float((tiles.high.max(axis=0) - tiles.low.min(axis=0)).max())
         for config in ctx.config.models:
             model = load_model(config, ctx.rng, ctx.log)
-            _require_room(model, tiles, scene)
+            ctx.log(model_line(model))
+            require_possible(scene, scene_m, model)
+            for note in oddities(scene, model):
+                ctx.log(f"odd: {note}")
             ctx.write(MODELS, model)
-
-
-def _require_room(model: ObjectModel, tiles: TileIndex, scene: SceneFrame) -> None:
-    """Refuse a model that is wider than the whole scene: one of the scales must be wrong."""
-    scene_m = float((tiles.high.max(axis=0) - tiles.low.min(axis=0)).max())
-    surface = model.vertices if len(model.vertices) else model.points
-    model_m = float(np.ptp(surface[:, :2], axis=0).max())
-    if model_m > scene_m:
-        raise StageError(
-            f"model '{model.name}' is {model_m:.3g} m wide, the whole scene {scene_m:.3g} m; "
-            f"correct [ingest] scale (now {scene.scale[0]:g}) or the scale of that [[model]]"
-        )

@@ -32,6 +32,8 @@ _BASE_WEIGHT = 0.5
 """A base put at zero on purpose speaks as much as half the symmetry of a car."""
 _THIN = 0.05
 """A model is flat if it is thinner along z than this share of its longest side."""
+_LONGER = 1.2
+"""A glTF model this much longer along x than along z faces +x, whatever the specification says."""
 _CLEARLY = 0.2
 """Difference in plausibility from which one axis is taken for another."""
 
@@ -96,7 +98,9 @@ def open_model(path: Path, up: Axis | None, forward: Axis | None) -> ModelFile:
         front = forward or ("x" if up[-1] != "x" else "y")
         return ModelFile(name, corners, faces, up, front, "as stated")
     if said:  # [Khronos glTF 2.0, section 3.4]: +y is up, the front faces +z
-        return ModelFile(name, corners, faces, "y", forward or "z", "y by the glTF specification")
+        size = np.ptp(corners, axis=0)
+        front: Axis = "x" if size[0] > _LONGER * size[2] else "z"  # many exporters leave it at +x
+        return ModelFile(name, corners, faces, "y", forward or front, "y by the glTF specification")
     if kind == "las":
         return ModelFile(name, corners, faces, "z", forward or "x", "z is the height in LAS")
     chosen, reason, doubt = _plausible_up(corners, faces)

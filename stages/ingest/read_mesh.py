@@ -143,11 +143,13 @@ def _uses_draco(path: Path, kind: str) -> bool:
     try:
         with path.open("rb") as file:
             if kind == "glb":
-                (length,) = struct.unpack("<I", file.read(16)[12:])
+                (length,) = struct.unpack_from("<I", file.read(20), 12)
                 text = file.read(min(length, path.stat().st_size))
             else:
                 text = file.read()
-        return "KHR_draco_mesh_compression" in json.loads(text).get("extensionsRequired", [])
+        document = json.loads(text)
+        used = [*document.get("extensionsUsed", []), *document.get("extensionsRequired", [])]
+        return "KHR_draco_mesh_compression" in used
     except (ValueError, struct.error, AttributeError):
         return False  # trimesh says what is wrong with it
 

@@ -37,6 +37,17 @@ class About:
     notes: tuple[str, ...] = ()
     """What a user should know about how the file was understood."""
 
+    @property
+    def known_up(self) -> Vector | None:
+        """Up by the format, or because the coordinate system makes z a height."""
+        return self.up or ((0.0, 0.0, 1.0) if self.coordinates.z_is_height else None)
+
+    @property
+    def known_up_reason(self) -> str:
+        """Why."""
+        by_system = self.coordinates.z_is_height
+        return self.up_reason or (f"{self.coordinates.name}: z is a height" if by_system else "")
+
 
 class SceneSource(Protocol):
     """A cloud on disk, read piece by piece."""

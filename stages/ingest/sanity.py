@@ -1,0 +1,231 @@
+"""Whether scene and models can be what they seem: units, steps of the coordinates, sizes.
+
+What cannot be right stops the run, what is odd becomes a line that names the key to try.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from spinpipe.schemas.records import ObjectModel, SceneFrame, Vector
+from spinpipe.stages.ingest.coordinates import Coordinates
+from spinpipe.stages.ingest.scene_source import SceneSource
+from spinpipe.stages.ingest.survey import Survey
+from spinpipe.stages.stage import StageError
+
+UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254, "feet": 0.3048}
+"""Units that scenes and models come in when not in metres."""
+
+_CAR = re.compile(r"car|auto|saloon|sedan|hatch|estate|suv|coupe|taxi|pickup|beetle", re.I)
+_CAR_LENGTH_M = (2.2, 7.0)
+"""From a microcar to the longest pickup."""
+_MOST_SPACING = 0.5
+"""Points farther apart than this share of a model's longest side cannot show its shape."""
+_ODD_SPACING = 0.1
+_FINE_SPACING = 0.002
+_COARSEST = 0.2
+"""Steps, in the height of a model, in which its shape is lost."""
+_COARSE = 0.5
+"""Steps of the coordinates, in spacings, that are coarser than the surface is sampled."""
+_SHEET_HEIGHT = 0.05
+"""Lowest part of a model, in its height, in which a sheet of ground would lie."""
+_SHEET_WIDER = 1.6
+"""A sheet reaches this much farther than what stands on it."""
+_DEGREES_ACROSS = 1.0
+_DEGREES_RATIO = 1000.0
+"""A degree is about 1e5 m: heights in metres over degrees are never below this."""
+
+
+def scale_of(stated: float | Vector | None, coordinates: Coordinates, where: Path) -> Vector:
+    """Metres a unit of the scene along x, y and z.
+
+    Parameters
+    ----------
+    stated : ``ingest.scale``; None: as the file says, else 1.
+    coordinates : what the file says.
+    where : the file, for messages.
+
+    Raises
+    ------
+    StageError
+        When x and y are degrees.
+    """
+    if coordinates.degrees and stated is None:
+        raise _degrees(where, f"{coordinates.name or 'longitude and latitude'}, "
+                              f"from {coordinates.source}")  # fmt: skip
+    if isinstance(stated, tuple):
+        return stated
+    if stated is not None:
+        return (stated, stated, stated)
+    return coordinates.metres or (1.0, 1.0, 1.0)
+
+
+def scale_note(stated: float | Vector | None, coordinates: Coordinates) -> str:
+    """What is done about the unit; empty where it is the metre or nobody said."""
+    told = coordinates.metres
+    if stated is not None:
+        given = stated if isinstance(stated, tuple) else (stated,) * 3
+        if told is not None and not np.allclose(given, told, rtol=1e-3):
+            return (
+                f"[ingest] scale is {_numbers(given)}, though {coordinates.source} says "
+                f"{_numbers(told)} m a unit ({coordinates.name})"
+            )
+        return ""
+    if told is None or told == (1.0, 1.0, 1.0):
+        return ""
+    apart = "" if len(set(told)) == 1 else "; z has a unit of its own"
+    return (
+        f"coordinates are {coordinates.name} ({coordinates.source}): {_numbers(told)} m a unit"
+        f"{apart}"
+    )
+
+
+def refuse_degrees(found: Survey, where: Path) -> None:
+    """Stop where the coordinates look like degrees though nothing says so.
+
+    Raises
+    ------
+    StageError
+    """
+    reach = found.high - found.low
+    across = float(reach[:2].max())
+    lat_lon = np.abs([found.low, found.high])[:, :2].max(axis=0) <= (180, 90)
+    if 0 < across < _DEGREES_ACROSS and reach[2] > _DEGREES_RATIO * across and lat_lon.all():
+        raise _degrees(where, f"x and y span {across:.2g}, z {reach[2]:.3g}")
+
+
+def coarse_steps(found: Survey, scale: Vector, spacing_m: float) -> str:
+    """What is odd about the steps of the coordinates; empty where they are fine enough."""
+    steps_m = np.array(found.steps) * scale
+    axis = int(np.argmax(steps_m))
+    if not steps_m[axis] > _COARSE * spacing_m > 0:
+        return ""
+    why = ", as 32-bit floats have there" if found.single_precision else ""
+    return (
+        f"coordinates come in steps of {steps_m[axis]:.2g} m along {'xyz'[axis]}{why}: "
+        "export them as double, or with an offset"
+    )
+
+
+def require_possible(scene: SceneFrame, scene_m: float, model: ObjectModel) -> None:
+    """Stop where the scene cannot show a model.
+
+    Parameters
+    ----------
+    scene : its frame, with spacing and steps.
+    scene_m : its longest side.
+    model : what to look for in it.
+
+    Raises
+    ------
+    StageError
+        When the coordinates come in steps near the model's height, the points lie farther apart
+        than half of it, or the whole scene is smaller than it.
+    """
+    longest, height = _longest(model), float(model.size[2])
+    if scene.step_m > max(_COARSE * scene.spacing_m, _COARSEST * height):
+        raise StageError(
+            f"{scene.source}: coordinates come in steps of {scene.step_m:.2g} m, too coarse for "
+            f"model '{model.name}', {height:.3g} m high: export them as double, or with an offset"
+        )
+    if longest > scene_m:
+        raise StageError(
+            f"model '{model.name}' is {longest:.3g} m long, the whole scene {scene_m:.3g} m; "
+            f"correct [ingest] scale (now {_numbers(scene.scale)}) or the scale of that [[model]]"
+            + _unit_hint(longest / scene_m, "the model may be in", "[[model]] scale")
+        )
+    if scene.spacing_m > _MOST_SPACING * longest:
+        raise StageError(
+            f"points lie {scene.spacing_m:.3g} m apart, model '{model.name}' is {longest:.3g} m "
+            f"long: too sparse to show it, or [ingest] scale (now {_numbers(scene.scale)}) is wrong"
+            + _spacing_hint(scene.spacing_m, longest)
+        )
+
+
+def oddities(scene: SceneFrame, model: ObjectModel) -> Iterator[str]:
+    """Lines about what may be right but is odd."""
+    longest = _longest(model)
+    if scene.spacing_m > _ODD_SPACING * longest:
+        yield (
+            f"points lie {scene.spacing_m:.3g} m apart, model '{model.name}' is only "
+            f"{longest:.3g} m long; if the scene is not in metres, set [ingest] scale"
+        )
+    sheet = _sheet(model)
+    if sheet:
+        yield sheet
+    elif _CAR.search(model.name) and not _CAR_LENGTH_M[0] <= longest <= _CAR_LENGTH_M[1]:
+        yield (
+            f"model '{model.name}' is {longest:.3g} m long, {model.size[2]:.3g} m high: no car is"
+            + _unit_hint(longest / 4.5, "it may be in", "[[model]] scale")
+        )
+
+
+def _longest(model: ObjectModel) -> float:
+    return float(max(model.size[:2]))
+
+
+def scene_line(source: SceneSource, found: Survey, scale: Vector, spacing_m: float) -> str:
+    """The scene in one line, as a run begins with it."""
+    size = " x ".join(f"{side:.4g}" for side in (found.high - found.low) * scale)
+    cameras = source.about.cameras
+    parts = [
+        f"{source.about.kind}: {found.points - found.strays:,} points, {size} m",
+        f"{spacing_m:.2g} m apart",
+        "coloured" if source.coloured else "",
+        f"{len(cameras.positions)} cameras" if cameras else "",
+    ]
+    return ", ".join(part for part in parts if part)
+
+
+def model_line(model: ObjectModel) -> str:
+    """A model in one line."""
+    size = " x ".join(f"{side:.3g}" for side in model.size)
+    return f"model {model.name}: {size} m (length, width, height)"
+
+
+def _sheet(model: ObjectModel) -> str:
+    """A backdrop below a model: what lies at its base reaches far beyond the rest."""
+    points = model.vertices if len(model.vertices) else model.points
+    high = points[:, 2] > _SHEET_HEIGHT * float(model.size[2])
+    if not high.any() or high.all():
+        return ""
+    whole, above = model.size[:2], np.ptp(points[high][:, :2], axis=0)
+    if not (whole > _SHEET_WIDER * above).all():
+        return ""
+    return (
+        f"model '{model.name}' is {max(whole):.3g} m wide because of a sheet at its base, the rest "
+        f"{above[0]:.3g} x {above[1]:.3g} m; remove the sheet from the model"
+    )
+
+
+def _degrees(where: Path, why: str) -> StageError:
+    return StageError(
+        f"{where}: x and y are degrees ({why}); reproject them to metres, for example "
+        "with 'pdal translate --filter filters.reprojection' to the local UTM zone"
+    )
+
+
+def _unit_hint(too_long: float, words: str, key: str) -> str:
+    """The unit that explains a length best, if one is within a factor of about two."""
+    name, metres = min(UNITS.items(), key=lambda unit: abs(np.log(unit[1] * too_long)))
+    if abs(np.log(metres * too_long)) > np.log(2.2):
+        return ""
+    return f"; {words} {name}: try {key} = {metres:g}"
+
+
+def _spacing_hint(spacing_m: float, longest_m: float) -> str:
+    """Units of the scene in which its points would show the model well."""
+    fit = [
+        f"{metres:g} for {name}"
+        for name, metres in UNITS.items()
+        if _FINE_SPACING * longest_m < metres * spacing_m < _ODD_SPACING * longest_m
+    ]
+    return f"; try [ingest] scale = {' or '.join(fit)}" if fit else ""
+
+
+def _numbers(scale: Sequence[float]) -> str:
+    return f"{scale[0]:g}" if len(set(scale)) == 1 else f"[{', '.join(f'{v:g}' for v in scale)}]"
