@@ -6,15 +6,19 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spinpipe.schemas.records import F64
 from spinpipe.stages.ingest.colour_range import full_colour, to_8_bit
 from spinpipe.stages.ingest.coordinates import Coordinates, beside, from_crs
+from spinpipe.stages.ingest.guarded import guarded
 from spinpipe.stages.ingest.scene_source import About, Chunk, white
 from spinpipe.stages.stage import StageError
 
@@ -33,20 +37,13 @@ class LasSource:
     """
 
     def __init__(self, path: Path) -> None:
-        import laspy  # heavy: only where needed
+        import laspy  # noqa: F401  here once, not in each child
 
         self._path = path
         self._counted = _check_header(path)
-        try:
-            with laspy.open(path) as reader:
-                header = reader.header
-                self.points = header.point_count
-                names = list(header.point_format.dimension_names)
-                compressed = header.are_points_compressed
-                kind = f"{'LAZ' if compressed else 'LAS'} {header.version}"
-                told = _coordinates(header) or beside(path) or Coordinates()
-        except Exception as error:  # laspy and its decompressor raise many kinds
-            raise self._unreadable(error) from error
+        header = next(iter(guarded(_header, path)))
+        self.points, names, compressed = header.points, header.names, header.compressed
+        told = header.told or beside(path) or Coordinates()
         notes: tuple[str, ...] = ()
         if not self.points and self._counted:
             if compressed:
@@ -59,7 +56,7 @@ class LasSource:
         self.coloured = {"red", "green", "blue"} <= set(names)
         self._full: float | None = None
         self.about = About(
-            kind=f"{kind}, point format {header.point_format.id}",
+            kind=header.kind,
             fields=tuple(n for n in names if n not in ("X", "Y", "Z")),
             coordinates=told,
             # The standard leaves it open, but z is the height wherever the system has one
@@ -71,39 +68,76 @@ class LasSource:
     def chunks(self, points: int) -> Iterator[Chunk]:
         """Points in the file's order, at most ``points`` at a time."""
         if self.coloured and self._full is None:
-            self._full = full_colour(_colours(records) for records in self._records(points))
-        for records in self._records(points):
-            xyz = np.empty((len(records), 3))
-            for column, axis in enumerate((records.x, records.y, records.z)):
-                xyz[:, column] = axis
-            if self._full is None:
+            self._full = full_colour(rgb for _, rgb in self._records(points) if rgb is not None)
+        for xyz, rgb in self._records(points):
+            if self._full is None or rgb is None:
                 yield xyz, white(len(xyz))
             else:
-                yield xyz, to_8_bit(_colours(records), self._full)
+                yield xyz, to_8_bit(rgb, self._full)
 
-    def _records(self, points: int) -> Iterator[Any]:
-        import laspy
-
+    def _records(self, points: int) -> Iterator[tuple[F64, NDArray[Any] | None]]:
         found = 0
-        try:
-            with laspy.open(self._path) as reader:
-                reader.header.point_count = self.points  # a header may say 0
-                for records in reader.chunk_iterator(points):
-                    found += len(records)
-                    yield records
-        except Exception as error:
-            raise self._unreadable(error) from error
+        for xyz, rgb in guarded(_points, self._path, points, self.points, self.coloured):
+            found += len(xyz)
+            yield xyz, rgb
         if found < self.points:
             raise StageError(
                 f"{self._path}: cut short, {self.points - found:,} of {self.points:,} points are "
                 "missing; copy or export the file again"
             )
 
-    def _unreadable(self, error: Exception) -> StageError:
-        return StageError(
-            f"{self._path}: cannot read the LAS file ({' '.join(str(error).split())}); "
-            "it may be cut short, copy or export it again"
+
+@dataclass(frozen=True)
+class _Header:
+    points: int
+    names: list[str]
+    compressed: bool
+    kind: str
+    told: Coordinates | None
+
+
+def _header(path: Path) -> Iterator[_Header]:
+    import laspy
+
+    with _readable(path), laspy.open(path) as reader:
+        header = reader.header
+        compressed = header.are_points_compressed
+        yield _Header(
+            header.point_count,
+            list(header.point_format.dimension_names),
+            compressed,
+            f"{'LAZ' if compressed else 'LAS'} {header.version}, "
+            f"point format {header.point_format.id}",
+            _coordinates(header),
         )
+
+
+def _points(
+    path: Path, points: int, total: int, coloured: bool
+) -> Iterator[tuple[F64, NDArray[Any] | None]]:
+    """Coordinates (N, 3) and colours (N, 3) as they are, piece by piece."""
+    import laspy
+
+    with _readable(path), laspy.open(path) as reader:
+        reader.header.point_count = total  # a header may say 0
+        for records in reader.chunk_iterator(points):
+            xyz = np.empty((len(records), 3))
+            for column, axis in enumerate((records.x, records.y, records.z)):
+                xyz[:, column] = axis
+            yield xyz, _colours(records) if coloured else None
+
+
+@contextmanager
+def _readable(path: Path) -> Generator[None]:
+    try:
+        yield
+    except MemoryError:
+        raise
+    except Exception as error:  # laspy and its decompressor raise many kinds
+        raise StageError(
+            f"{path}: cannot read the LAS file ({' '.join(str(error).split())}); "
+            "it may be cut short, copy or export it again"
+        ) from error
 
 
 def _check_header(path: Path) -> int:

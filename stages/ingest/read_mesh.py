@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from spinpipe.schemas.arrays import F64, I64, U8
 from spinpipe.schemas.records import Vector
 from spinpipe.stages.geometry.shapes import draw_on_faces, face_areas_and_normals
 from spinpipe.stages.ingest.coordinates import Coordinates, beside
+from spinpipe.stages.ingest.guarded import guarded
 from spinpipe.stages.ingest.read_ply_faces import read_ply_mesh
 from spinpipe.stages.ingest.scene_source import About, MemorySource
 from spinpipe.stages.stage import StageError
@@ -70,7 +72,9 @@ def read_mesh(path: Path, kind: str) -> FileMesh | None:
                 f"{path}: its geometry is compressed with Draco; install DracoPy "
                 "(pip install 'spinpipe[draco]'), or export it without compression"
             )
-        vertices, faces, rgb = _by_trimesh(path, kind)
+        import trimesh  # noqa: F401  here once, not in each child
+
+        vertices, faces, rgb = next(iter(guarded(_by_trimesh, path, kind)))
         # glTF: +y is up [Khronos glTF 2.0, section 3.4]
         up = (0.0, 1.0, 0.0) if kind in ("glb", "gltf") else None
     if not len(faces):
@@ -115,7 +119,7 @@ def sampled_mesh(path: Path, kind: str) -> MemorySource | None:
     return MemorySource(about, draw.points, rgb)
 
 
-def _by_trimesh(path: Path, kind: str) -> tuple[F64, I64, U8 | None]:
+def _by_trimesh(path: Path, kind: str) -> Iterator[tuple[F64, I64, U8 | None]]:
     import trimesh  # heavy: only where needed
     from trimesh.resolvers import FilePathResolver
 
@@ -126,6 +130,8 @@ def _by_trimesh(path: Path, kind: str) -> tuple[F64, I64, U8 | None]:
                 file, file_type=kind, resolver=resolver, process=False, skip_materials=True
             )
         mesh: Any = scene.to_mesh()
+    except MemoryError:
+        raise
     except Exception as error:  # trimesh's loaders raise many kinds
         raise StageError(
             f"{path}: cannot read the mesh ({' '.join(str(error).split())}); export it again"
@@ -135,7 +141,7 @@ def _by_trimesh(path: Path, kind: str) -> tuple[F64, I64, U8 | None]:
     rgb = None
     if getattr(visual, "kind", None) == "vertex" and len(faces):
         rgb = np.ascontiguousarray(np.asarray(visual.vertex_colors, np.uint8)[:, :3])
-    return np.asarray(mesh.vertices, np.float64).reshape(-1, 3), faces, rgb
+    yield np.asarray(mesh.vertices, np.float64).reshape(-1, 3), faces, rgb
 
 
 def _uses_draco(path: Path, kind: str) -> bool:

@@ -1,0 +1,112 @@
+"""Readers of others in a process of their own, which may hang, grow or die: ours goes on.
+
+The child is a fork, so that it costs milliseconds. The kernel ends it when it has computed for
+long without a result, or asks for more memory than a file of that size can need.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import resource
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, BinaryIO, TypeVar
+
+from spinpipe.stages.stage import StageError
+
+T = TypeVar("T")
+
+STEP_S = 10.0
+"""Processor time for one result: a million points take half a second."""
+MEMORY_TIMES, MEMORY_BYTES = 4, 1 << 30
+"""What a reader may ask for beside what it has: so many times the file's size, and a constant."""
+
+
+def guarded(function: Callable[..., Iterator[T]], path: Path, *arguments: Any) -> Iterator[T]:
+    """What ``function(path, *arguments)`` yields in a child process.
+
+    Parameters
+    ----------
+    function : a generator function; what it yields is pickled.
+    path : of the file that it reads.
+
+    Raises
+    ------
+    StageError
+        What it raises itself, or if its process ends in another way.
+    """
+    reader, writer = os.pipe()
+    child = os.fork()
+    if not child:
+        _serve(writer, function, path, arguments)
+    os.close(writer)
+    try:
+        with os.fdopen(reader, "rb") as stream:
+            while True:
+                try:
+                    kind, value = pickle.load(stream)
+                except (EOFError, pickle.UnpicklingError):
+                    raise StageError(f"{path}: {_end(child)}; copy or export it again") from None
+                if kind == "end":
+                    return
+                if kind == "error":
+                    raise value
+                yield value
+    finally:
+        _kill(child)
+
+
+def _serve(
+    writer: int, function: Callable[..., Iterator[Any]], path: Path, arguments: tuple[Any, ...]
+) -> None:
+    """Body of the child: never returns."""
+    try:
+        signal.signal(signal.SIGPROF, signal.SIG_DFL)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # what it says as it dies is not for users
+        most = _address_space() + MEMORY_TIMES * path.stat().st_size + MEMORY_BYTES
+        resource.setrlimit(resource.RLIMIT_AS, (most, resource.RLIM_INFINITY))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        with os.fdopen(writer, "wb") as stream:
+            try:
+                signal.setitimer(signal.ITIMER_PROF, STEP_S)
+                for value in function(path, *arguments):
+                    signal.setitimer(signal.ITIMER_PROF, 0)
+                    _send(stream, "value", value)
+                    signal.setitimer(signal.ITIMER_PROF, STEP_S)
+                _send(stream, "end", None)
+            except StageError as error:
+                _send(stream, "error", error)
+            except MemoryError:
+                text = f"{path}: asks for more memory than its size explains; export it again"
+                _send(stream, "error", StageError(text))
+    finally:
+        os._exit(0)
+
+
+def _send(stream: BinaryIO, kind: str, value: object) -> None:
+    pickle.dump((kind, value), stream, protocol=5)
+    stream.flush()
+
+
+def _address_space() -> int:
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    return pages * resource.getpagesize()
+
+
+def _end(child: int) -> str:
+    """Say how the child ended."""
+    _, status = os.waitpid(child, 0)
+    code = os.waitstatus_to_exitcode(status)
+    if code == -signal.SIGPROF:
+        return f"its reader found nothing in {STEP_S:.0f} s"
+    return f"its reader broke down ({signal.Signals(-code).name if code < 0 else 'no result'})"
+
+
+def _kill(child: int) -> None:
+    try:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+    except (ProcessLookupError, ChildProcessError):
+        pass
