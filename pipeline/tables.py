@@ -23,7 +23,8 @@ MAX_ROWS = 40
 def detection_table(detections: Sequence[Detection]) -> Group:
     """The accepted and ambiguous detections, and a line that counts all fates."""
     shown = sorted(
-        (d for d in detections if d.fate != "rejected"), key=lambda d: (d.fate, -d.score, d.id)
+        (d for d in detections if d.fate in ("accepted", "ambiguous")),
+        key=lambda d: (d.fate, -d.score, d.id),
     )
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("id", justify="right")
@@ -49,7 +50,9 @@ def _summary(detections: Sequence[Detection]) -> str:
     fates = Counter(d.fate for d in detections)
     models = Counter(d.model for d in detections if d.fate == "accepted")
     found = ", ".join(f"{n} {model}" for model, n in sorted(models.items())) or "none"
-    rest = [f"{fates[fate]} {fate}" for fate in ("ambiguous", "rejected") if fates[fate]]
+    rest = [
+        f"{fates[fate]} {fate}" for fate in ("ambiguous", "duplicate", "rejected") if fates[fate]
+    ]
     return f"accepted: {found}" + "".join(f"; {text}" for text in rest)
 
 

@@ -277,7 +277,7 @@ class Detection:
     cluster: int
     model: str
     fate: str
-    """``"accepted"``, ``"ambiguous"`` or ``"rejected"``."""
+    """``"accepted"``, ``"ambiguous"``, ``"duplicate"`` or ``"rejected"``."""
     reason: str
     T_world_object: F64
     """(4, 4), the fitted stretch included."""
@@ -312,3 +312,12 @@ class Detection:
     alternative: str = ""
     """Next best model for the same place, empty if there is none."""
     alternative_margin: float = 0.0
+    cause: str = ""
+    """What decided the fate: ``shown``, ``score``, ``observed``, ``sheltered``, ``continues``,
+    ``type``, ``duplicate``, ``nothing``, ``residual`` or ``points``."""
+    duplicate_of: int = -1
+    """The candidate that stands in the same place, -1 if there is none."""
+    log_odds: float = 0.0
+    """Logarithm of the odds that it is an instance: it ranks what the score rounds to 0 or 1."""
+    tilt_deg: float = 0.0
+    """Of what it stands on, and of the object with it."""

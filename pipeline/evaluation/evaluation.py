@@ -218,7 +218,7 @@ def _one_a_place(detections: Sequence[Detection], order: list[int]) -> list[int]
         place = np.array(d.position_world[:2])
         reach = min(d.size_m[:2]) / 2
         crowded = np.linalg.norm(places[: len(kept)] - place, axis=1) < reach
-        if d.fate == "rejected" and (crowded.any() or gave_way(d)):
+        if d.fate in ("duplicate", "rejected") and (crowded.any() or gave_way(d)):
             continue
         places[len(kept)] = place
         kept.append(i)
@@ -226,8 +226,8 @@ def _one_a_place(detections: Sequence[Detection], order: list[int]) -> list[int]
 
 
 def gave_way(detection: Detection) -> bool:
-    """Whether a detection was rejected because a better one explains the same place."""
-    return detection.fate == "rejected" and detection.reason.startswith("overlaps ")
+    """Whether a better one stands in the same place."""
+    return detection.cause == "duplicate"
 
 
 def percentiles(values: Sequence[float | None], *levels: float) -> list[float | None]:

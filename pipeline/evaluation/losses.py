@@ -154,7 +154,7 @@ class _Trail:
         if not self._ended[row, candidate]:
             away = f"its candidate ended {self._distance[row, candidate]:.2f} m away"
             return "verify", f"{away}, {d.fate}: {d.reason}"
-        if d.fate == "rejected":
+        if d.fate in ("duplicate", "rejected"):
             return ("resolve" if gave_way(d) else "verify"), d.reason
         if candidate in found_by:
             return "verify", f"its candidate took {describe(found_by[candidate])}"

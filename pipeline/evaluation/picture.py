@@ -41,7 +41,7 @@ def _view(e: Evaluation, read: ReadTopic) -> TopView:
     """What is labelled or accepted, with a margin around it."""
     upright, tiles = read(UPRIGHT)[0], read(CLOUD)
     shown = [t.position[:2] for t in e.truths]
-    shown += [d.position_world[:2] for d in e.detections if d.fate != "rejected"]
+    shown += [d.position_world[:2] for d in e.detections if d.fate in ("accepted", "ambiguous")]
     low, high = np.min(shown, axis=0), np.max(shown, axis=0)
     margin = 0.05 * float((high - low).max()) + 2 * _typical_size(e)[0]
 

@@ -45,7 +45,7 @@ def write_planted(
     """
     target.mkdir(parents=True, exist_ok=True)
     _write_scene(target / "scene.ply", folder, [p.plant for p in planted])
-    known = [d for d in RunReader(folder)(DETECTIONS) if d.fate != "rejected"]
+    known = [d for d in RunReader(folder)(DETECTIONS) if d.fate in ("accepted", "ambiguous")]
     _write_text(target / "truth.csv", _truth_text(planted, known))
     document = tomllib.loads(config.to_toml())
     document["run"]["name"] = f"{config.run.name}-plant"

@@ -75,3 +75,21 @@ def vector(values: NDArray[Any]) -> Vector:
     """Three numbers of an array as a tuple."""
     x, y, z = (float(v) for v in values)
     return x, y, z
+
+
+def leaning(slopes: NDArray[Any]) -> F64:
+    """(3, 3) least rotation that turns z to the normal of a plane of slopes (2,) along x and y.
+
+    [Rodrigues' formula about the horizontal axis of the tilt.]
+    """
+    a, b = float(slopes[0]), float(slopes[1])
+    cos = 1.0 / np.sqrt(1.0 + a * a + b * b)
+    x, y = -a * cos, -b * cos  # of the normal
+    share = 1.0 / (1.0 + cos)
+    return np.array(
+        [
+            [1.0 - share * x * x, -share * x * y, x],
+            [-share * x * y, 1.0 - share * y * y, y],
+            [-x, -y, cos],
+        ]
+    )

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import TypeVar
+import math
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from spinpipe.schemas.records import (
     F64,
-    I64,
     Cluster,
     Detection,
     FitTrace,
@@ -21,34 +18,16 @@ from spinpipe.schemas.records import (
 )
 from spinpipe.stages.geometry.frames import heading_deg, transform, vector
 from spinpipe.stages.geometry.model_surface import model_surface
-from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.threads import map_threads
 from spinpipe.stages.verify.candidates import Candidates
 from spinpipe.stages.verify.decide.decision import decide
 from spinpipe.stages.verify.decide.verdict import Rules, T_world_object, Verdict
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
-from spinpipe.stages.verify.judge.examiner import Examination, Examiner, blocks
 from spinpipe.stages.verify.judge.hypotheses import Course
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
+from spinpipe.stages.verify.judge.search import MapBlocks, Search
 from spinpipe.stages.verify.model.field import ModelField, build_model_field
 from spinpipe.stages.verify.model.known_object import KnownObject
-
-T = TypeVar("T")
-R = TypeVar("R")
-
-BLOCK_REACHES = 2.0
-"""Side of a block of candidates, in reaches: it follows from the models alone, because candidates
-of one block are thinned together."""
-
-
-@dataclass(frozen=True)
-class _BlockTask:
-    """What a worker needs to examine any block; can be pickled."""
-
-    examiner: Examiner
-    cloud: WorldCloud
-    places: F64
-    threads: int
 
 
 def verify_by_evidence(
@@ -58,8 +37,9 @@ def verify_by_evidence(
     rng: np.random.Generator,
     *,
     threads: int,
-    map_blocks: Callable[[Callable[[I64], Examination], Iterable[I64]], Iterator[Examination]],
+    map_blocks: MapBlocks,
     advance: Callable[[int], None],
+    log: Callable[[str], None],
 ) -> Iterator[tuple[Detection, FitTrace | None]]:
     """Try every candidate as every model and decide about all of them together; yields in order.
 
@@ -71,10 +51,12 @@ def verify_by_evidence(
     rng : draws the surface of mesh models.
     threads : of the kernels; never changes a result.
     map_blocks : maps a function over blocks of candidates, in order.
-    advance : told how many more candidates are examined.
+    advance : told how many more candidates are looked at.
+    log : told what was measured.
     """
     if not candidates.clusters:
         return
+    names = [model.name for model in candidates.models]
     surfaces = [model_surface(model, rng) for model in candidates.models]
     fields = map_threads(_field, list(zip(candidates.models, surfaces, strict=True)), threads)
     objects = [
@@ -83,24 +65,17 @@ def verify_by_evidence(
     ]
     clusters = list(candidates.clusters)
     places = np.array([cluster.position for cluster in clusters], np.float64)
-    examiner = Examiner(objects, sampling)
-    task = _BlockTask(examiner, candidates.cloud, places, threads)
-    found: list[Hypotheses] = []
-    courses: dict[int, Course] = {}
-    rows_of_blocks = list(blocks(places, BLOCK_REACHES * examiner.reach_m))
-    for rows, examined in zip(
-        rows_of_blocks, map_blocks(partial(_examine, task), rows_of_blocks), strict=True
-    ):
-        found.append(replace(examined.table, candidate=rows[examined.table.candidate]))
-        courses |= {int(rows[k]): course for k, course in examined.courses.items()}
-        advance(len(rows))
-    table = Hypotheses.joined(found)
-    rows_of = table.rows_of_candidates(len(places))
-    for verdict in decide(examiner, table, places, rules):
+    proposed = np.array([names.index(cluster.model) for cluster in clusters])
+    search = Search(objects, sampling, candidates.cloud, places, proposed, threads)
+    found = search.run(rules.error_m, map_blocks, advance)
+    for name, error in zip(names, found.examiner.error_m, strict=True):
+        log(f"surfaces are off by {error:.3f} m at the size of {name}")
+    rows_of = found.table.rows_of_candidates(len(places))
+    for verdict in decide(found.examiner, found.table, places, rules):
         cluster = clusters[verdict.candidate]
-        rivals = table.rows(rows_of[verdict.candidate])
-        course = courses.get(verdict.candidate)
-        yield _detection(candidates, cluster, verdict), _trace(cluster, verdict, rivals, course)
+        rivals = found.table.rows(rows_of[verdict.candidate])
+        course = found.courses.get(verdict.candidate)
+        yield _detection(candidates, verdict), _trace(cluster, verdict, rivals, course)
 
 
 def _field(model: tuple[ObjectModel, tuple[F64, F64]]) -> ModelField:
@@ -108,17 +83,10 @@ def _field(model: tuple[ObjectModel, tuple[F64, F64]]) -> ModelField:
     return build_model_field(known.name, points, normals)
 
 
-def _examine(task: _BlockTask, rows: I64) -> Examination:
-    """Hypotheses about the candidates of one block."""
-    places = task.places[rows]
-    reach = np.array([task.examiner.reach_m, task.examiner.reach_m, np.inf])
-    points = task.cloud.inside(places.min(axis=0) - reach, places.max(axis=0) + reach)
-    return task.examiner.examine(points, places, task.threads)
-
-
-def _detection(candidates: Candidates, cluster: Cluster, verdict: Verdict) -> Detection:
-    model = candidates.models[verdict.model]
-    pose = T_world_object(verdict.pose)
+def _detection(candidates: Candidates, verdict: Verdict) -> Detection:
+    clusters, model = candidates.clusters, candidates.models[verdict.model]
+    cluster = clusters[verdict.candidate]
+    pose = T_world_object(verdict.pose, verdict.lean)
     T_scene_object = candidates.T_scene_world @ pose
     evidence = verdict.evidence
     claimed = evidence.get("claimed", 0.0)
@@ -128,6 +96,7 @@ def _detection(candidates: Candidates, cluster: Cluster, verdict: Verdict) -> De
         cluster=cluster.id,
         model=model.name,
         fate=verdict.fate,
+        cause=verdict.cause,
         reason=verdict.reason,
         T_world_object=pose,
         T_scene_model=T_scene_object @ model.T_object_model,
@@ -148,6 +117,9 @@ def _detection(candidates: Candidates, cluster: Cluster, verdict: Verdict) -> De
         size_m=vector(verdict.size_m),
         alternative=other,
         alternative_margin=verdict.alternative_margin,
+        duplicate_of=clusters[verdict.duplicate_of].id if verdict.duplicate_of >= 0 else -1,
+        log_odds=verdict.odds,
+        tilt_deg=math.degrees(math.atan(math.hypot(*verdict.lean))),
     )
 
 
@@ -163,11 +135,11 @@ def _trace(
     rms_m = np.full((len(ends), len(poses)), np.nan, np.float32)
     rms_m[:, -1] = ends
     if course is not None:
-        rms_m[np.argmax(rivals.score)] = course.rms_m
+        rms_m[np.argmax(rivals.odds)] = course.rms_m
     rms_m[np.isinf(rms_m)] = np.nan
     return FitTrace(
         cluster=cluster.id,
         start_heading_deg=np.degrees(rivals.start[:, 3]) % 360.0,
         rms_m=rms_m,
-        poses=np.array([T_world_object(pose) for pose in poses]),
+        poses=np.array([T_world_object(pose, verdict.lean) for pose in poses]),
     )

@@ -113,6 +113,7 @@ def _verified(
             threads=ctx.threads,
             map_blocks=ctx.map,
             advance=progress.advance,
+            log=ctx.log,
         )
         return
     rules = IcpRules(method=config.method, **config.icp.model_dump())

@@ -21,6 +21,10 @@ GOES_ON = 0.5
 BEYOND = np.array([0.2, 0.5, 0.9])
 """Where outside a side a neighbour is looked for, in half extents of the narrow side."""
 ALONG = np.array([-0.5, 0.0, 0.5])
+INTERIOR = np.stack(np.meshgrid([-0.8, -0.4, 0.0, 0.4, 0.8], [-0.8, -0.4, 0.0, 0.4, 0.8]), -1)
+"""Places in a body, in half extents."""
+COMMON = 0.15
+"""Share of either body's interior that neighbours may have in common; rivals have more."""
 
 
 def explained_sides(poses: F64, sizes: F64, near_poses: F64, near_sizes: F64) -> Flags:
@@ -29,14 +33,19 @@ def explained_sides(poses: F64, sizes: F64, near_poses: F64, near_sizes: F64) ->
     Parameters
     ----------
     poses, sizes : (S, 4) x, y, z of the base centre and yaw; (S, 3) extents, metres.
-    near_poses, near_sizes : of the instances. One that stands in the same place is the fit itself.
+    near_poses, near_sizes : of the instances. One that stands in the fit's place, in whole or in
+        part, is a rival or the fit itself: it explains nothing.
     """
     covered = np.zeros((len(poses), len(SIDES), len(BEYOND), len(ALONG)), bool)
     if len(poses) and len(near_poses):
         fit, near = _pairs_within_reach(poses, sizes, near_poses, near_sizes)
         pair, other_pair = (poses[fit], sizes[fit]), (near_poses[near], near_sizes[near])
-        same = _within(pair[0][:, :2], *other_pair) | _within(other_pair[0][:, :2], *pair)
-        beyond = _within(_places_beyond(*pair), *other_pair) & ~same[:, None, None, None]
+        common = np.maximum(
+            _within(_interior(*pair), *other_pair).mean(axis=(1, 2)),
+            _within(_interior(*other_pair), *pair).mean(axis=(1, 2)),
+        )
+        beyond = _within(_places_beyond(*pair), *other_pair)
+        beyond &= (common <= COMMON)[:, None, None, None]
         np.logical_or.at(covered, fit, beyond)
     return np.asarray(2 * covered.any(axis=2).sum(axis=2) >= len(ALONG))
 
@@ -76,6 +85,14 @@ def _places_beyond(poses: F64, sizes: F64) -> F64:
     cos, sin = np.cos(poses[:, 3]), np.sin(poses[:, 3])
     turn = np.stack([cos, sin, -sin, cos], axis=1).reshape(-1, 2, 2)
     return np.einsum("sabcj,sjk->sabck", local, turn) + poses[:, None, None, None, :2]
+
+
+def _interior(poses: F64, sizes: F64) -> F64:
+    """Places (S, 5, 5, 2) in each fit."""
+    local = INTERIOR * sizes[:, None, None, :2] / 2
+    cos, sin = np.cos(poses[:, 3]), np.sin(poses[:, 3])
+    turn = np.stack([cos, sin, -sin, cos], axis=1).reshape(-1, 2, 2)
+    return np.einsum("sabj,sjk->sabk", local, turn) + poses[:, None, None, :2]
 
 
 def _within(places: F64, poses: F64, sizes: F64) -> Flags:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from spinpipe.stages.verify.decide.continuation import SIDES, explained_sides, first_continuing
 from spinpipe.stages.verify.decide.neighbours import explain_neighbours, standing
-from spinpipe.stages.verify.decide.verdict import Fate, Rules, Verdict
+from spinpipe.stages.verify.decide.verdict import Cause, Fate, Rules, Verdict
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
 from spinpipe.stages.verify.judge.examiner import Examiner
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
@@ -17,6 +17,10 @@ from spinpipe.stages.verify.judge.scoring import PARTS
 from spinpipe.stages.verify.model.known_object import KnownObject
 
 F64 = NDArray[np.float64]
+
+
+NO_ODDS = -99.0
+"""Log odds where there is nothing to judge."""
 
 
 def decide(examiner: Examiner, table: Hypotheses, places: F64, rules: Rules) -> list[Verdict]:
@@ -45,9 +49,25 @@ def decide(examiner: Examiner, table: Hypotheses, places: F64, rules: Rules) -> 
 def _nothing_there(candidate: int, place: F64) -> Verdict:
     pose = np.array([place[0], place[1], place[2], 0.0, 1.0, 1.0, 1.0])
     return Verdict(
-        candidate, 0, pose, np.zeros(3), {}, {}, 0.0, "rejected",
-        "no surface above the ground that any model could explain", 0.0, pose, math.inf, -1, 0.0,
-    )  # fmt: skip
+        candidate=candidate,
+        model=0,
+        pose=pose,
+        lean=np.zeros(2),
+        size_m=np.zeros(3),
+        parts={},
+        evidence={},
+        odds=NO_ODDS,
+        score=0.0,
+        fate="rejected",
+        cause="nothing",
+        reason="no surface above the ground that any model could explain",
+        duplicate_of=-1,
+        heading_margin=0.0,
+        runner_up=pose,
+        runner_up_rms_m=math.inf,
+        alternative=-1,
+        alternative_margin=0.0,
+    )
 
 
 def _judge(
@@ -67,32 +87,35 @@ def _judge(
     margin, runner_up, runner_up_rms_m = _heading_margin(examiner, best, k, rivals)
     alternative, lead = _alternative(best, k, rivals)
     weakest = examiner.weakest_part(best.parts[k], int(best.model[k]))
-    fate, reason = _fate(known, evidence, parts, weakest, value, rules)
-    if displaced_by >= 0 and value >= rules.min_score:
-        fate = "rejected"
-        reason = (
-            f"overlaps candidate {best.candidate[displaced_by]}, which explains the place better: "
-            f"score {best.score[displaced_by]:.2f} against {value:.2f}"
-        )
+    fate, cause, reason = _fate(known, evidence, parts, weakest, value, rules)
+    duplicate_of = -1
+    if displaced_by >= 0 and best.score[displaced_by] >= rules.min_score:
+        duplicate_of = int(best.candidate[displaced_by])
+        fate, cause = "duplicate", "duplicate"
+        reason = f"stands where candidate {duplicate_of} stands, which explains more"
     elif fate == "accepted" and continuing and known.rigid:
-        fate = "ambiguous"
-        reason = f"type: what stands there goes on beyond the {continuing} of the model"
-    elif fate == "accepted" and margin < rules.min_margin:
-        fate = "ambiguous"
-        reason = f"heading: another one scores only {margin:.3f} less"
+        fate, cause = "ambiguous", "continues"
+        reason = f"what stands there goes on beyond the {continuing} of the model"
     elif fate == "accepted" and alternative >= 0 and lead < rules.min_margin and known.rigid:
-        fate = "ambiguous"
-        reason = f"type: {examiner.objects[alternative].field.name} scores only {lead:.3f} less"
+        fate, cause = "ambiguous", "type"
+        reason = f"{examiner.objects[alternative].field.name} scores only {lead:.3f} less"
+    if fate == "accepted" and margin < rules.min_margin:
+        # an instance stands there all the same; the runner-up says how else it may be turned
+        reason += f"; heading undecided, another one scores only {margin:.3f} less"
     return Verdict(
         candidate=int(best.candidate[k]),
         model=int(best.model[k]),
         pose=best.pose[k],
+        lean=best.lean[k],
         size_m=examiner.sizes(best.rows(np.array([k])))[0],
         parts=parts,
         evidence=evidence,
+        odds=float(best.odds[k]),
         score=value,
         fate=fate,
+        cause=cause,
         reason=reason,
+        duplicate_of=duplicate_of,
         heading_margin=margin,
         runner_up=runner_up,
         runner_up_rms_m=runner_up_rms_m,
@@ -108,35 +131,51 @@ def _fate(
     weakest: str,
     value: float,
     rules: Rules,
-) -> tuple[Fate, str]:
+) -> tuple[Fate, Cause, str]:
     """Fate and reason of a hypothesis in itself, whatever its rivals are."""
     observed = evidence["supported"] + evidence["contradicted"]
     if value < rules.min_score:
-        return "rejected", (
-            f"score {value:.2f} below {rules.min_score:g}; weakest part: "
-            f"{weakest} {parts[weakest]:.2f}"
+        return (
+            "rejected",
+            "score",
+            (
+                f"score {value:.2f} below {rules.min_score:g}; weakest part: "
+                f"{weakest} {parts[weakest]:.2f}"
+            ),
         )
     if observed < rules.min_observed:
-        return "rejected", f"only {observed:.0%} of its visible surface was observed"
+        return "rejected", "observed", f"only {observed:.0%} of its visible surface was observed"
     if known.visible_from == "above" and evidence["sheltered"] > rules.max_sheltered:
-        return "ambiguous", (
-            f"{evidence['sheltered']:.0%} of it lies below something else, "
-            "but the model is declared visible from above"
+        return (
+            "ambiguous",
+            "sheltered",
+            (
+                f"{evidence['sheltered']:.0%} of it lies below something else, "
+                "but the model is declared visible from above"
+            ),
         )
-    return "accepted", f"score {value:.2f}, {evidence['supported']:.0%} of its surface seen"
+    return (
+        "accepted",
+        "shown",
+        f"score {value:.2f}, {evidence['supported']:.0%} of its surface seen",
+    )
 
 
 def _heading_margin(
     examiner: Examiner, best: Hypotheses, k: int, rivals: Hypotheses
 ) -> tuple[float, F64, float]:
     """How much better the heading is than the best other one of the same model."""
-    known, sampling = examiner.objects[int(best.model[k])], examiner.sampling
+    model = int(best.model[k])
+    known, sampling = examiner.objects[model], examiner.sampling
+    error_m = max(sampling.noise_m, examiner.error_m[model])
     turn = np.angle(np.exp(1j * (rivals.pose[:, 3] - best.pose[k, 3])))
-    shift = np.hypot(*(rivals.pose[:, :2] - best.pose[k, :2]).T)
+    moved = rivals.pose[:, :3] - best.pose[k, :3]
     other = (rivals.model == best.model[k]) & (np.abs(turn) > math.pi / 6)
-    other &= shift < known.field.narrow_m
-    for row in np.flatnonzero(other)[np.argsort(-rivals.score[other], kind="stable")]:
-        if not known.field.looks_same(float(turn[row]), sampling.noise_m, sampling.spacing_m):
+    other &= np.hypot(moved[:, 0], moved[:, 1]) < known.field.narrow_m
+    cos, sin = math.cos(best.pose[k, 3]), math.sin(best.pose[k, 3])
+    shift = moved @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    for row in np.flatnonzero(other)[np.argsort(-rivals.odds[other], kind="stable")]:
+        if not known.field.looks_same(float(turn[row]), shift[row], error_m, sampling.spacing_m):
             lead = float(best.score[k] - rivals.score[row])
             return lead, rivals.pose[row], float(rivals.evidence[row, EVIDENCE.index("rms_m")])
     return float(best.score[k]), best.pose[k], math.inf

@@ -38,7 +38,7 @@ class Standing(NamedTuple):
 def standing(examiner: Examiner, best: Hypotheses, min_score: float) -> Standing:
     """Which of the best hypotheses of all candidates are instances as far as is known."""
     poses, sizes = best.pose[:, :4], examiner.sizes(best)
-    displaced_by = resolve(poses, sizes, best.score)
+    displaced_by = resolve(poses, sizes, best.rank)
     stays = (displaced_by < 0) & (best.score >= min_score)
     return Standing(poses[stays], sizes[stays], displaced_by)
 
@@ -48,7 +48,7 @@ def explain_neighbours(examiner: Examiner, table: Hypotheses, min_score: float) 
     drops = table.evidence[:, [EVIDENCE.index(side) for side in SIDES]]
     # members of a family would fit side by side into any hedge or roof, and explain each other
     known = np.array([o.rigid for o in examiner.objects])[table.model]
-    worth = known & (table.score >= WORTH_A_SECOND_LOOK)
+    worth = known & (table.odds >= WORTH_A_SECOND_LOOK)
     rows = np.flatnonzero(worth & (drops < TOUCHED).any(axis=1))
     if len(rows) == 0:
         return table
@@ -62,10 +62,10 @@ def explain_neighbours(examiner: Examiner, table: Hypotheses, min_score: float) 
         explained = explained_sides(touched.pose[:, :4], sizes, near.poses, near.sizes)
         hidden = (outline * (1.0 - drops) * (explained & (drops < TOUCHED))).sum(axis=1)
         drop = np.clip(touched.evidence[:, EVIDENCE.index("drop")] + hidden, 0.0, 1.0)
-        parts, value = table.parts.copy(), table.score.copy()
+        parts, value = table.parts.copy(), table.odds.copy()
         parts[rows, PARTS.index("outline")] = np.cbrt(drop)
-        value[rows] = examiner.score(parts[rows], touched.model)
-        seen = replace(table, parts=parts, score=value)
+        value[rows] = examiner.log_odds(parts[rows], touched.model)
+        seen = replace(table, parts=parts, odds=value)
         if np.array_equal(value, before):
             break
         before = value

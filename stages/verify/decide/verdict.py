@@ -9,8 +9,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from spinpipe.stages.geometry.frames import leaning
+
 F64 = NDArray[np.float64]
-Fate = Literal["accepted", "ambiguous", "rejected"]
+Fate = Literal["accepted", "ambiguous", "duplicate", "rejected"]
+Cause = Literal[
+    "shown", "score", "observed", "sheltered", "continues", "type", "duplicate", "nothing"
+]
+"""What decided: enough of it is shown; the score; too little observed; it lies below something else;
+a body goes on beyond it; two models fit alike; it stands where another one stands; no surface."""
 
 
 @dataclass(frozen=True)
@@ -21,6 +28,8 @@ class Rules:
     min_observed: float = 0.1
     min_margin: float = 0.01
     max_sheltered: float = 0.5
+    error_m: float | None = None
+    """How far surfaces of instances are off; None: measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,10 +41,13 @@ class Verdict:
     candidate : row of the candidate.
     model : row of the model that explains it best.
     pose : (7,) x, y, z of the base centre, yaw (radians), stretch along the object's axes; world.
+    lean : (2,) slopes of what it stands on, along the world's x and y.
     size_m : (3,) fitted extents.
     parts : score parts by name.
     evidence : raw evidence by name.
-    score, fate, reason : the decision.
+    odds, score : logarithm of the odds that it is an instance, and that as a probability.
+    fate, cause, reason : the decision.
+    duplicate_of : row of the candidate that stands in the same place, -1 if none.
     heading_margin : score minus that of the best other heading of the same model; the score itself
         where the model looks the same from there.
     runner_up : (7,) pose of that other heading.
@@ -46,12 +58,16 @@ class Verdict:
     candidate: int
     model: int
     pose: F64
+    lean: F64
     size_m: F64
     parts: dict[str, float]
     evidence: dict[str, float]
+    odds: float
     score: float
     fate: Fate
+    cause: Cause
     reason: str
+    duplicate_of: int
     heading_margin: float
     runner_up: F64
     runner_up_rms_m: float
@@ -64,10 +80,10 @@ class Verdict:
         return self.evidence.get("supported", 0.0) + self.evidence.get("contradicted", 0.0)
 
 
-def T_world_object(pose: F64) -> F64:
-    """(4, 4) of a pose (7,), with the stretch."""
+def T_world_object(pose: F64, lean: F64) -> F64:
+    """(4, 4) of a pose (7,), with the stretch, on a support of slopes (2,)."""
     T = np.eye(4)
     cos, sin = math.cos(pose[3]), math.sin(pose[3])
-    T[:3, :3] = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) * pose[4:7]
+    T[:3, :3] = leaning(lean) @ np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) * pose[4:7]
     T[:3, 3] = pose[:3]
     return T

@@ -73,7 +73,6 @@ def outline_evidence(grid, field, pose, gate):
     levels = np.zeros(SIDES)
     observed = np.zeros(SIDES)
     whole = np.zeros(SIDES)
-    heights = np.empty(64)
     tall = field.outline_height > TALL * field.size[2]
     for k in range(outline.shape[0]):
         mx = outline[k, 0] * pose[4] + normals[k, 0] * beyond_m
@@ -86,6 +85,10 @@ def outline_evidence(grid, field, pose, gate):
         count = 0
         overhead = np.inf
         cells = window(grid, x, y, column_m)
+        total = 0
+        for i in range(cells.first, cells.past):
+            total += len(points_of(grid, cells, i))
+        heights = np.empty(total)
         for i in range(cells.first, cells.past):
             for n in points_of(grid, cells, i):
                 dx, dy = points[n, 0] - x, points[n, 1] - y
@@ -94,7 +97,7 @@ def outline_evidence(grid, field, pose, gate):
                 z = points[n, 2] - pose[2]
                 if z > inner_height + beyond_m:
                     overhead = min(overhead, z)
-                elif count < heights.shape[0]:
+                else:
                     heights[count] = z
                     count += 1
         if count > 0:

@@ -94,7 +94,7 @@ def surface_evidence(grid, field, pose, gate, sharp):
                         below += 1
                 else:
                     above += 1
-        if above > 0:
+        if above >= enough:  # fewer are stray
             sheltered += seen_weight[k]
         if at > 0:
             held = max(min(at / enough, 1.0), at / (at + below))
@@ -108,7 +108,7 @@ def surface_evidence(grid, field, pose, gate, sharp):
         supported += seen_weight[k] * held
         if at + below + above == 0:
             empty += seen_weight[k]
-        elif below > 0 and above == 0:
+        elif below > 0 and above < enough:
             contradicted += seen_weight[k] * (1.0 - held) * min(1.0, below / enough)
     covered = max(0.0, 1.0 - supported - contradicted - empty)
     return Surface(supported, contradicted, empty, covered, sheltered)

@@ -19,6 +19,8 @@ from spinpipe.stages.compiled import inner
 
 SLACK = 1.0001
 """Above the rounding of float32 sums over a few hundred points."""
+LONG_TOP = 1.5
+"""Half length of a top, in half widths of the model, from which a candidate may lie anywhere on it."""
 DOUBT = 2e-3
 """Voxels from a border within which float32 may err about the column of a point."""
 
@@ -48,8 +50,30 @@ def gain(explained, unexplained, enough):
 
 
 @inner
-def gain_bounds(body, ground, field, limits, x, y, base, tall, enough, bounds):
-    """Fill ``bounds`` with upper bounds of the gains of headings and offsets around (x, y).
+def offset_steps(field, limits):
+    """Steps along the object's x and y by which a candidate may lie off the middle of its top.
+
+    A long flat top looks the same from anywhere along it: a candidate may lie at its very end. Where
+    it is hardly longer than the object is wide, reaching farther would reach the neighbours.
+    """
+    narrow = min(field.size[0], field.size[1]) / 2
+    reach_x = field.top_half[0] if field.top_half[0] > LONG_TOP * narrow else limits.offset_m
+    reach_y = field.top_half[1] if field.top_half[1] > LONG_TOP * narrow else limits.offset_m
+    return int(math.ceil(reach_x / limits.step_m)), int(math.ceil(reach_y / limits.step_m))
+
+
+@inner
+def search_reach(field, limits):
+    """How far from a candidate the points of the object may lie, metres."""
+    side_x, side_y = offset_steps(field, limits)
+    offset = limits.step_m * math.hypot(side_x, side_y)
+    half_diagonal = math.hypot(field.size[0], field.size[1]) / 2
+    return half_diagonal * (1 + limits.stretch) + offset + limits.coarse_gate_m
+
+
+@inner
+def gain_bounds(body, ground, field, limits, base, tall, enough, bounds):
+    """Fill ``bounds`` with upper bounds of the gains of headings and offsets around the origin.
 
     Headings, then offsets along x and y, as ``coarse_search`` tries them; base and tall are height
     and vertical stretch of all poses.
@@ -59,17 +83,17 @@ def gain_bounds(body, ground, field, limits, x, y, base, tall, enough, bounds):
     footprint = field.footprint.reshape(nx * ny)
     weights, ground_weights = body.weights.astype(np.float32), ground.weights.astype(np.float32)
     levels = _levels(body.xyz, field, base, tall)
-    body_x, body_y = _in_voxels(body.xyz, x, y, field.voxel_m)
-    ground_x, ground_y = _in_voxels(ground.xyz, x, y, field.voxel_m)
-    side = int(math.ceil(limits.offset_m / limits.step_m))
+    body_x, body_y = _in_voxels(body.xyz, field.voxel_m)
+    ground_x, ground_y = _in_voxels(ground.xyz, field.voxel_m)
+    side_x, side_y = offset_steps(field, limits)
     step = limits.step_m / field.voxel_m
-    first_x = (field.top[0] - field.origin[0]) / field.voxel_m + side * step
-    first_y = (field.top[1] - field.origin[1]) / field.voxel_m + side * step
+    first_x = (field.top[0] - field.origin[0]) / field.voxel_m + side_x * step
+    first_y = (field.top[1] - field.origin[1]) / field.voxel_m + side_y * step
     # stretched less than once, distances are shorter than the clearance
     shrunk = min(1.0, tall) / limits.coarse_gate_m
     per_m2 = np.float32(shrunk * shrunk)
-    along = _columns(2 * side + 1, len(weights), len(ground_weights))
-    across = _columns(2 * side + 1, len(weights), len(ground_weights))
+    along = _columns(2 * side_x + 1, len(weights), len(ground_weights))
+    across = _columns(2 * side_y + 1, len(weights), len(ground_weights))
     n = 0
     for h in range(limits.headings):
         yaw = 2 * math.pi * h / limits.headings
@@ -78,15 +102,17 @@ def gain_bounds(body, ground, field, limits, x, y, base, tall, enough, bounds):
         sideways = _turned(body_y, body_x, c, -s, first_y)
         ground_turned = _turned(ground_x, ground_y, c, s, first_x)
         ground_sideways = _turned(ground_y, ground_x, c, -s, first_y)
-        for i in range(2 * side + 1):
+        for i in range(2 * side_x + 1):
             shift = np.float32(i * step)
             _number(turned, shift, nx, ny * nz, along.body[i])
-            _number(sideways, shift, ny, nz, across.body[i])
-            _add(across.body[i], levels)
             _number_surely(ground_turned, shift, nx, ny, along.ground[i])
-            _number_surely(ground_sideways, shift, ny, 1, across.ground[i])
-        for i in range(2 * side + 1):
-            for j in range(2 * side + 1):
+        for j in range(2 * side_y + 1):
+            shift = np.float32(j * step)
+            _number(sideways, shift, ny, nz, across.body[j])
+            _add(across.body[j], levels)
+            _number_surely(ground_sideways, shift, ny, 1, across.ground[j])
+        for i in range(2 * side_x + 1):
+            for j in range(2 * side_y + 1):
                 explained, unexplained = _sums(
                     clearance, along.body[i], across.body[j], weights, per_m2
                 )
@@ -103,12 +129,12 @@ def _columns(offsets, bodies, grounds):
 
 
 @inner
-def _in_voxels(xyz, x, y, voxel):
-    """Horizontal coordinates relative to a place, in voxels."""
+def _in_voxels(xyz, voxel):
+    """Horizontal coordinates in voxels."""
     u, v = np.empty(xyz.shape[0], np.float32), np.empty(xyz.shape[0], np.float32)
     for n in range(xyz.shape[0]):
-        u[n] = (xyz[n, 0] - x) / voxel
-        v[n] = (xyz[n, 1] - y) / voxel
+        u[n] = xyz[n, 0] / voxel
+        v[n] = xyz[n, 1] / voxel
     return u, v
 
 

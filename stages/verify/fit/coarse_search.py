@@ -8,8 +8,8 @@ import numpy as np
 from numba import njit
 
 from spinpipe.stages.compiled import inner
-from spinpipe.stages.verify.fit.coarse_bounds import gain, gain_bounds
-from spinpipe.stages.verify.model.lookup import POSE, half_diagonal, nearest_sample
+from spinpipe.stages.verify.fit.coarse_bounds import gain, gain_bounds, offset_steps, search_reach
+from spinpipe.stages.verify.model.lookup import POSE, nearest_sample
 from spinpipe.stages.verify.scene.candidate_points import TOO_FEW, cut_out
 
 COARSE_POINTS = 400
@@ -67,7 +67,7 @@ def coarse_fit(body, ground, field, pose, gate, enough):
 
 
 @inner
-def coarse_search(grid, field, limits, place, ground_z, poses, gains):
+def coarse_search(scene, field, limits, top, poses, gains):
     """Fill ``poses`` (K, 7) and ``gains`` (K,) with the best distinct coarse fits at a place.
 
     Every heading is tried at offsets of whole steps around the place; what cannot be among the best
@@ -75,24 +75,22 @@ def coarse_search(grid, field, limits, place, ground_z, poses, gains):
 
     Parameters
     ----------
-    grid : CellGrid.
+    scene : CellGrid, in the frame of the support: the candidate is at x = y = 0.
     field : FieldArrays.
     limits : Tolerance.
-    place : (3,) where the model's topmost point may be, world.
-    ground_z : height of the ground there.
+    top : height of the candidate above its support, metres.
     """
-    x, y, z = place
-    reach = half_diagonal(field) * (1 + limits.stretch) + limits.offset_m + limits.coarse_gate_m
-    ceiling = z + field.size[2] * limits.stretch + 2 * limits.coarse_gate_m
-    body, ground = cut_out(grid, x, y, reach, limits.low_m, ceiling, COARSE_POINTS)
+    reach = search_reach(field, limits)
+    ceiling = top + field.size[2] * limits.stretch + 2 * limits.coarse_gate_m
+    body, ground = cut_out(scene, 0.0, 0.0, reach, limits.low_m, ceiling, COARSE_POINTS)
     if body.xyz.shape[0] < TOO_FEW:
         return
-    tried = poses_to_try(field, limits, x, y, z, ground_z)
+    tried = poses_to_try(field, limits, top)
     # a tenth of the footprint, in cells of equal surface
-    enough = 0.1 * field.size[0] * field.size[1] / (grid.cell_m * grid.cell_m)
+    enough = 0.1 * field.size[0] * field.size[1] / (scene.cell_m * scene.cell_m)
     bounds = np.empty(tried.shape[0])
     base, tall = tried[0, 2], tried[0, 6]
-    gain_bounds(body, ground, field, limits, x, y, base, tall, enough, bounds)
+    gain_bounds(body, ground, field, limits, base, tall, enough, bounds)
     # best first: the pose found is the one that an exhaustive search would find
     order = np.argsort(-bounds)
     open_gains = np.zeros(tried.shape[0])
@@ -130,26 +128,26 @@ def _better(gains, n, best):
 
 
 @inner
-def poses_to_try(field, limits, x, y, z, ground_z):
+def poses_to_try(field, limits, top):
     """Poses to try, (headings * offsets, 7)."""
     # where the model is rigid another one may have proposed the place: only its xy counts
     tall = 1.0
-    base = ground_z
+    base = 0.0
     if limits.stretch > 0.0:
-        tall = (z - ground_z) / field.size[2]
+        tall = top / field.size[2]
         tall = min(max(tall, 1.0 - limits.stretch), 1.0 + limits.stretch)
-        base = z - tall * field.size[2]
-    side = int(math.ceil(limits.offset_m / limits.step_m))
-    poses = np.ones((limits.headings * (2 * side + 1) ** 2, POSE))
+        base = top - tall * field.size[2]
+    side_x, side_y = offset_steps(field, limits)
+    poses = np.ones((limits.headings * (2 * side_x + 1) * (2 * side_y + 1), POSE))
     n = 0
     for h in range(limits.headings):
         yaw = 2 * math.pi * h / limits.headings
         cos, sin = math.cos(yaw), math.sin(yaw)
-        for i in range(-side, side + 1):
-            for j in range(-side, side + 1):
+        for i in range(-side_x, side_x + 1):
+            for j in range(-side_y, side_y + 1):
                 ox, oy = i * limits.step_m - field.top[0], j * limits.step_m - field.top[1]
-                poses[n, 0] = x + cos * ox - sin * oy
-                poses[n, 1] = y + sin * ox + cos * oy
+                poses[n, 0] = cos * ox - sin * oy
+                poses[n, 1] = sin * ox + cos * oy
                 poses[n, 2] = base
                 poses[n, 3] = yaw
                 poses[n, 6] = tall

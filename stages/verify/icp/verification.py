@@ -142,13 +142,14 @@ class _Judge:
             runner_heading = heading_deg(fit.poses[-1, runner]) if runner is not None else 0.0
             margin = (runner_rms_m - rms_m) / rms_m if rms_m > 0 else float("inf")
             coverage = self._coverage(pose)
-        fate, reason = self._decide(rms_m)
+        fate, cause, reason = self._decide(rms_m)
         T_scene_object = self._T_scene_world @ pose
         return Detection(
             id=cluster.id,
             cluster=cluster.id,
             model=model.name,
             fate=fate,
+            cause=cause,
             reason=reason,
             T_world_object=pose,
             T_scene_model=T_scene_object @ model.T_object_model,
@@ -168,12 +169,20 @@ class _Judge:
             size_m=vector(model.size),
         )
 
-    def _decide(self, rms_m: float) -> tuple[str, str]:
+    def _decide(self, rms_m: float) -> tuple[str, str, str]:
         if len(self._cutout) < MIN_POINTS:
-            return "rejected", f"only {len(self._cutout)} scene points, {MIN_POINTS} needed"
+            return (
+                "rejected",
+                "points",
+                f"only {len(self._cutout)} scene points, {MIN_POINTS} needed",
+            )
         if rms_m > self._max_rms_m:
-            return "rejected", f"rms {rms_m:.3f} m above max_rms_m {self._max_rms_m:g} m"
-        return "accepted", f"rms {rms_m:.3f} m within max_rms_m {self._max_rms_m:g} m"
+            return (
+                "rejected",
+                "residual",
+                f"rms {rms_m:.3f} m above max_rms_m {self._max_rms_m:g} m",
+            )
+        return "accepted", "shown", f"rms {rms_m:.3f} m within max_rms_m {self._max_rms_m:g} m"
 
     def _coverage(self, pose: F64) -> tuple[float, float]:
         """Share of model samples near the scene, and of scene points in the model's box near it."""

@@ -1,7 +1,8 @@
 """Every candidate is tried as every model: a first look, and a second one where it is worth it.
 
 The best coarse hypotheses are refined, scored and thinned to distinct places; there all models and
-four headings compete again from the place found.
+four headings compete again from the place found. Once the error of the scene's surfaces is known,
+what was found is judged anew.
 """
 
 from __future__ import annotations
@@ -13,26 +14,40 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.schemas.records import Sampling
-from spinpipe.stages.verify.evidence.gather import EVIDENCE
-from spinpipe.stages.verify.judge.hypotheses import Course, coarse_poses, course_of, refine_poses
+from spinpipe.schemas.records import F64, I64, Sampling
+from spinpipe.stages.geometry.support import (
+    Surfaces,
+    find_support,
+    find_surfaces,
+    reach_of,
+    support_halo_m,
+)
+from spinpipe.stages.threads import map_threads
+from spinpipe.stages.verify.judge.hypotheses import (
+    Course,
+    Place,
+    coarse_poses,
+    course_of,
+    refine_poses,
+)
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
+from spinpipe.stages.verify.judge.kernels import reach
 from spinpipe.stages.verify.judge.reference import right_instance
 from spinpipe.stages.verify.judge.resolve import resolve
-from spinpipe.stages.verify.judge.scoring import PARTS, merits, score, score_parts
+from spinpipe.stages.verify.judge.scoring import PARTS, log_odds, merits, score_parts
 from spinpipe.stages.verify.judge.tolerance import Tolerance, shell_share, tolerance
 from spinpipe.stages.verify.model.known_object import KnownObject
-from spinpipe.stages.verify.scene.surroundings import Surroundings, build_surroundings
+from spinpipe.stages.verify.model.lookup import field_arrays
+from spinpipe.stages.verify.scene.cell_grid import CellGrid, grid_of
 
-F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
-
-COARSE = 3
-"""How many coarse poses of a candidate are kept for each model."""
-STARTS = 5
-"""How many of them are refined, over all models, at least."""
-WORTH_A_SECOND_LOOK = 0.02
-"""Score from which a place is tried with all models and headings."""
+STARTS = 3
+"""How many coarse poses of a candidate are refined."""
+LONG = 1.5
+"""Length over width from which a quarter turn brings no model near itself."""
+WORTH_A_SECOND_LOOK = -12.0
+"""Log odds from which a place is tried with all models and headings."""
+BASE_SLACK = 0.15
+"""How far the base may be off its support, as a share of the height: chosen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,133 +59,227 @@ class Examination:
     """Of the best hypothesis, by candidate."""
 
 
-class Examiner:
-    """Tries candidates as instances of known objects in a cloud of given sampling."""
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Candidates that are examined together: the points around, and where each stands."""
 
-    def __init__(self, objects: Sequence[KnownObject], sampling: Sampling) -> None:
+    grid: CellGrid
+    places: tuple[Place, ...]
+    found: NDArray[np.bool_]
+    """(C,) whether there is a surface for it to stand on."""
+
+
+class Examiner:
+    """Tries candidates as instances of known objects in a cloud of given sampling and error."""
+
+    def __init__(
+        self, objects: Sequence[KnownObject], sampling: Sampling, error_m: Sequence[float]
+    ) -> None:
         self.objects = tuple(objects)
         self.sampling = sampling
+        self.error_m = tuple(error_m)
+        self.arrays = tuple(field_arrays(o.field) for o in objects)
         self.limits: tuple[Tolerance, ...] = tuple(
-            tolerance(o.field, o.stretch, sampling.spacing_m, sampling.noise_m) for o in objects
+            tolerance(o.field, o.stretch, sampling, error)
+            for o, error in zip(objects, error_m, strict=True)
         )
         self.shell = tuple(
             shell_share(o.field, t.gate_m) for o, t in zip(objects, self.limits, strict=True)
         )
         right = [
-            right_instance(o.field, t, sampling, shell)
-            for o, t, shell in zip(objects, self.limits, self.shell, strict=True)
+            right_instance(o.field, t, sampling, error, shell)
+            for o, t, error, shell in zip(objects, self.limits, error_m, self.shell, strict=True)
         ]
         self.reference = np.array([r.parts for r in right])
         self.expected = tuple(r.points for r in right)
         self.stretch = np.array([o.stretch for o in objects])
-        self.ground_reach_m = 1.4 * max(o.field.reach_m * (1 + o.stretch) for o in objects)
+        self.height_m = np.array([o.field.size[2] for o in objects])
+        self.support_reach_m = reach_of(max(o.field.reach_m * (1 + o.stretch) for o in objects))
+
+        self.scene_m: tuple[float, ...] = tuple(
+            reach(a, t) + 2 * t.coarse_gate_m
+            for a, t in zip(self.arrays, self.limits, strict=True)
+        )
+        """How far from a candidate the points of each model and of what touches it lie."""
 
     @property
     def reach_m(self) -> float:
         """How far from a candidate points matter to it."""
-        far = (
-            o.field.reach_m * (1 + o.stretch) + 2 * t.offset_m + 3 * t.coarse_gate_m
-            for o, t in zip(self.objects, self.limits, strict=True)
-        )
-        return max(far) + self.ground_reach_m
+        return max(*self.scene_m, support_halo_m(self.sampling, self.support_reach_m))
 
-    def examine(self, points: NDArray[np.floating], places: F64, threads: int) -> Examination:
-        """All hypotheses about candidates, given the points within ``reach_m`` of them.
+    def look(
+        self, points: NDArray[np.floating], places: F64, proposed: I64, threads: int
+    ) -> Hypotheses:
+        """Hypotheses about candidates as what proposed them, given the points within ``reach_m``.
 
         Parameters
         ----------
         points : (N, 3) world.
         places : (C, 3) world, where the topmost point of an instance may be.
+        proposed : (C,) as which model each was proposed.
         threads : how many the kernels may use; the result is the same.
         """
         if len(points) == 0:
+            return Hypotheses.none()
+        block = self.block(points, places, proposed)
+
+        def look(c: int) -> Hypotheses:
+            place, m = block.places[c], int(proposed[c])
+            scene = place.scene(block.grid, self.scene_m[m])
+            pose, gain = coarse_poses(scene, self.arrays[m], self.limits[m], place.top, STARTS)
+            pose = pose[gain > 0]
+            model = np.full(len(pose), m)
+            if len(pose):  # its like may fit where it does not
+                like = self._like(m, place.top)
+                start = np.repeat(pose[:1], len(like), axis=0)
+                pose, model = np.concatenate([pose, start]), np.concatenate([model, like])
+            return self._judged(block, scene, c, model, pose)
+
+        return Hypotheses.joined(list(map_threads(look, range(len(places)), threads)))
+
+    def examine(
+        self,
+        points: NDArray[np.floating],
+        places: F64,
+        proposed: I64,
+        best: Hypotheses,
+        threads: int,
+    ) -> Examination:
+        """All hypotheses about candidates, given the best one of a look at each.
+
+        That is refined again, as the error may be another one now; at distinct places that may hold
+        an instance all models and headings compete.
+        """
+        if len(points) == 0 or len(best.model) == 0:
             return Examination(Hypotheses.none(), {})
-        scene = build_surroundings(points, self.sampling, self.ground_reach_m)
-        first = self._first_look(scene, places, threads)
-        second = self._second_look(scene, first, threads)
-        table = Hypotheses.joined([first, second])
-        return Examination(table, self._courses(scene, table.rows(table.best_rows())))
+        block = self.block(points, places, proposed)
+        again = self._refined(block, best.candidate, best.model, best.pose, threads)
+        table = Hypotheses.joined([again, self._rivals(block, again, threads)])
+        return Examination(table, self._courses(block, table.rows(table.best_rows())))
 
-    def _first_look(self, scene: Surroundings, places: F64, threads: int) -> Hypotheses:
-        poses, gains, model = [], [], []
-        for m, (known, limits) in enumerate(zip(self.objects, self.limits, strict=True)):
-            pose, gain = coarse_poses(scene, known.field, limits, places, COARSE, threads)
-            poses.append(pose)
-            gains.append(gain)
-            model.append(np.full(gain.shape, m))
-        pose, gain = np.concatenate(poses, axis=1), np.concatenate(gains, axis=1)
-        rows = np.concatenate(model, axis=1)
-        # the best of all models, and of every model its own best if that is half as good
-        rank = np.argsort(np.argsort(-gain, axis=1, kind="stable"), axis=1, kind="stable")
-        own_best = np.tile(np.arange(COARSE) == 0, len(self.objects))
-        promising = own_best & (gain > 0.5 * gain.max(axis=1, keepdims=True))
-        candidate, column = np.nonzero((gain > 0) & ((rank < STARTS) | promising))
-        chosen = (candidate, column)
-        return self._refined(scene, candidate, rows[chosen], pose[chosen], threads)
+    def block(self, points: NDArray[np.floating], places: F64, proposed: I64) -> Block:
+        """Where each of some candidates stands, given the points around."""
+        xyz = np.asarray(points, np.float64)
+        surfaces = find_surfaces(
+            xyz, self.sampling, self.support_reach_m, 0.5 * float(self.height_m.min())
+        )
+        origin, lean, found = self._supports(surfaces, places, proposed)
+        tops = places[:, 2] - origin[:, 2]
+        stands = tuple(Place(*p) for p in zip(origin, lean, tops.tolist(), strict=True))
+        return Block(grid_of(xyz, self.sampling), stands, found)
 
-    def _second_look(self, scene: Surroundings, first: Hypotheses, threads: int) -> Hypotheses:
-        best = first.rows(first.best_rows())
-        best = best.rows(best.score >= WORTH_A_SECOND_LOOK)
-        distinct = resolve(best.pose[:, :4], self.sizes(best), best.score, max_overlap=0.5) < 0
-        best = best.rows(distinct)
+    def _supports(
+        self, surfaces: Surfaces, places: F64, proposed: I64
+    ) -> tuple[F64, F64, NDArray[np.bool_]]:
+        """Points (C, 3) and slopes (C, 2) of the supports, and whether there is one."""
+        height = self.height_m[proposed]
+        slack = BASE_SLACK * height + self.stretch[proposed] * height + 3 * self.sampling.noise_m
+        support = find_support(places, places[:, 2] - height, surfaces, slack)
+        origin = np.column_stack([places[:, :2], support.height])
+        lean = np.column_stack([support.slope_x, support.slope_y])
+        return origin, lean, support.found > 0
+
+    def _rivals(self, block: Block, found: Hypotheses, threads: int) -> Hypotheses:
+        """All models, at all headings that are plausible, from distinct places that are promising."""
+        found = found.rows(found.odds >= WORTH_A_SECOND_LOOK)
+        distinct = resolve(found.pose[:, :4], self.sizes(found), found.odds, max_overlap=0.5) < 0
+        found = found.rows(distinct)
+        size = self.sizes(found)
         candidate, model, pose = [], [], []
         for m, known in enumerate(self.objects):
-            size = self.sizes(best)
-            tall = np.clip(size[:, 2] / known.field.size[2], 1 - known.stretch, 1 + known.stretch)
-            for quarter in range(4):
-                start = np.ones_like(best.pose)
-                start[:, :3] = best.pose[:, :3]
-                start[:, 3] = best.pose[:, 3] + quarter * math.pi / 2
+            wanted = size[:, 2] / known.field.size[2]
+            slack = known.stretch + BASE_SLACK
+            fits = np.flatnonzero((wanted > 1 - slack) & (wanted < 1 + slack))
+            tall = np.clip(wanted[fits], 1 - known.stretch, 1 + known.stretch)
+            for quarter in self._quarters(m):
+                start = np.ones((len(fits), found.pose.shape[1]))
+                start[:, :3] = found.pose[fits, :3]
+                start[:, 3] = found.pose[fits, 3] + quarter * math.pi / 2
                 start[:, 6] = tall
-                candidate.append(best.candidate)
-                model.append(np.full(len(best.pose), m))
+                candidate.append(found.candidate[fits])
+                model.append(np.full(len(fits), m))
                 pose.append(start)
         return self._refined(
-            scene,
-            np.concatenate(candidate),
-            np.concatenate(model),
-            np.concatenate(pose),
-            threads,
+            block, np.concatenate(candidate), np.concatenate(model), np.concatenate(pose), threads
         )
 
-    def _refined(
-        self, scene: Surroundings, candidate: I64, model: I64, start: F64, threads: int
-    ) -> Hypotheses:
-        """Hypotheses refined from their starts and scored."""
-        pose = start.copy()
-        evidence = np.zeros((len(start), len(EVIDENCE)))
-        parts = np.zeros((len(start), len(PARTS)))
-        for m, (known, limits) in enumerate(zip(self.objects, self.limits, strict=True)):
-            rows = np.flatnonzero(model == m)
-            if len(rows) == 0:
-                continue
-            pose[rows], evidence[rows] = refine_poses(
-                scene, known.field, limits, start[rows], threads
-            )
-            above = pose[rows, 2] - scene.ground_at(pose[rows, :2])
-            height = known.field.size[2] * pose[rows, 6]
-            parts[rows] = score_parts(
-                evidence[rows], limits, self.shell[m], self.expected[m], above, height
-            )
-        value = self.score(parts, model)
-        return Hypotheses(candidate, model, start, pose, parts, evidence, value)
+    def _like(self, m: int, top_m: float) -> I64:
+        """Other models that may stretch and be as high as a candidate is above its support."""
+        wanted = top_m / self.height_m
+        slack = self.stretch + BASE_SLACK
+        fits = (self.stretch > 0) & (wanted > 1 - slack) & (wanted < 1 + slack)
+        fits[m] = False
+        return np.flatnonzero(fits & (self.stretch[m] > 0))
 
-    def score(self, parts: F64, model: I64) -> F64:
-        """Scores (S,) of parts (S, len(PARTS)) of hypotheses about models (S,)."""
-        return score(parts, self.reference[model], self.stretch[model])
+    def _quarters(self, m: int) -> tuple[int, ...]:
+        """Quarter turns at which a model may be mistaken for itself: a long one only end for end."""
+        length, width = self.objects[m].field.size[:2]
+        return (0, 2) if max(length, width) > LONG * min(length, width) else (0, 1, 2, 3)
+
+    def _refined(
+        self, block: Block, candidate: I64, model: I64, start: F64, threads: int
+    ) -> Hypotheses:
+        """Hypotheses refined from their starts (S, 7), world, and scored."""
+        order = np.argsort(candidate, kind="stable")
+        owners, first = np.unique(candidate[order], return_index=True)
+        groups = np.split(order, first[1:]) if len(owners) else []
+
+        def judge(group: I64) -> Hypotheses:
+            c = int(candidate[group[0]])
+            place = block.places[c]
+            scene = place.scene(block.grid, max(self.scene_m))
+            return self._judged(block, scene, c, model[group], place.from_world(start[group]))
+
+        return Hypotheses.joined(list(map_threads(judge, groups, threads)))
+
+    def _judged(
+        self, block: Block, scene: CellGrid, candidate: int, model: I64, start: F64
+    ) -> Hypotheses:
+        """Hypotheses about one candidate, refined from starts in the frame of its support."""
+        place = block.places[candidate]
+        pose = np.ones_like(start)
+        evidence, parts = None, np.zeros((len(start), len(PARTS)))
+        for m in np.unique(model).tolist():
+            rows = np.flatnonzero(model == m)
+            limits = self.limits[m]
+            pose[rows], found = refine_poses(scene, self.arrays[m], limits, start[rows])
+            evidence = np.zeros((len(start), found.shape[1])) if evidence is None else evidence
+            evidence[rows] = found
+            above = pose[rows, 2] if block.found[candidate] else np.full(len(rows), np.inf)
+            height = self.height_m[m] * pose[rows, 6]
+            parts[rows] = score_parts(found, limits, self.shell[m], self.expected[m], above, height)
+        if evidence is None:
+            return Hypotheses.none()
+        return Hypotheses(
+            candidate=np.full(len(model), candidate),
+            model=model,
+            start=place.to_world(start),
+            pose=place.to_world(pose),
+            lean=np.tile(place.lean, (len(model), 1)),
+            parts=parts,
+            evidence=evidence,
+            odds=(odds := self.log_odds(parts, model)),
+            alone=odds,
+        )
+
+    def log_odds(self, parts: F64, model: I64) -> F64:
+        """Log odds (S,) of parts (S, len(PARTS)) of hypotheses about models (S,)."""
+        return log_odds(parts, self.reference[model])
 
     def weakest_part(self, parts: F64, model: int) -> str:
         """Name of the part (of (len(PARTS),)) that costs a hypothesis about a model most."""
-        lost = merits(parts[None], self.reference[[model]], self.stretch[[model]])[0]
+        lost = merits(parts[None], self.reference[[model]])[0]
         return PARTS[int(np.argmin(lost))]
 
-    def _courses(self, scene: Surroundings, best: Hypotheses) -> dict[int, Course]:
+    def _courses(self, block: Block, best: Hypotheses) -> dict[int, Course]:
         courses: dict[int, Course] = {}
-        for k in np.flatnonzero(best.score >= WORTH_A_SECOND_LOOK):
-            m = int(best.model[k])
-            courses[int(best.candidate[k])] = course_of(
-                scene, self.objects[m].field, self.limits[m], best.start[k]
-            )
+        for k in np.flatnonzero(best.odds >= WORTH_A_SECOND_LOOK):
+            m, c = int(best.model[k]), int(best.candidate[k])
+            place = block.places[c]
+            scene = place.scene(block.grid, max(self.scene_m))
+            start = place.from_world(best.start[[k]])[0]
+            way = course_of(scene, self.arrays[m], self.limits[m], start)
+            courses[c] = Course(place.to_world(way.poses), way.rms_m)
         return courses
 
     def sizes(self, table: Hypotheses) -> F64:

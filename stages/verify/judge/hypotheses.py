@@ -1,92 +1,92 @@
-"""Hypotheses about candidates: batches of coarse search, refinement and evidence on threads.
+"""One candidate: where a model may stand there, where it fits best, and what speaks for it.
 
-Each candidate is worked on alone and by one thread, so neither the number of threads nor the other
-candidates change its result.
+Each candidate is looked at in the frame of the support it stands on: its place at the origin, z along
+the support's normal. Each is worked on alone and by one thread, so neither the number of threads nor
+the other candidates change its result.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from spinpipe.stages.threads import map_threads
+from spinpipe.schemas.records import F64
+from spinpipe.stages.geometry.frames import leaning
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
 from spinpipe.stages.verify.fit.registration import PASSES, STEPS
-from spinpipe.stages.verify.judge.kernels import coarse_batch, refine_batch, refine_course
+from spinpipe.stages.verify.judge.kernels import coarse_fits, course, local_scene, refined
 from spinpipe.stages.verify.judge.tolerance import Tolerance
-from spinpipe.stages.verify.model.field import ModelField
-from spinpipe.stages.verify.model.lookup import POSE, field_arrays
-from spinpipe.stages.verify.scene.surroundings import Surroundings
+from spinpipe.stages.verify.model.lookup import POSE, FieldArrays
+from spinpipe.stages.verify.scene.cell_grid import CellGrid
 
-F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
 
-_CHUNK = 8
+class Place(NamedTuple):
+    """Where a candidate stands: T_world_support, and how high above it the candidate is."""
+
+    origin: F64
+    """(3,) world: the candidate's x and y, on the support."""
+    lean: F64
+    """(2,) slopes of the support along x and y."""
+    top: float
+    """Height of the candidate above the support, metres."""
+
+    @property
+    def axes(self) -> F64:
+        """(3, 3) axes of the support's frame as columns, world."""
+        return leaning(self.lean)
+
+    def scene(self, grid: CellGrid, radius_m: float) -> CellGrid:
+        """The points around, in the frame of the support."""
+        return local_scene(grid, self.origin, self.axes, radius_m)
+
+    def to_world(self, poses: F64) -> F64:
+        """Poses (S, 7) of the support's frame in the world, leaning with the support."""
+        moved = poses.copy()
+        moved[:, :3] = poses[:, :3] @ self.axes.T + self.origin
+        return moved
+
+    def from_world(self, poses: F64) -> F64:
+        """The inverse of ``to_world``."""
+        moved = poses.copy()
+        moved[:, :3] = (poses[:, :3] - self.origin) @ self.axes
+        return moved
 
 
 def coarse_poses(
-    scene: Surroundings,
-    model: ModelField,
-    limits: Tolerance,
-    places: F64,
-    keep: int,
-    threads: int,
+    scene: CellGrid, model: FieldArrays, limits: Tolerance, top: float, keep: int
 ) -> tuple[F64, F64]:
-    """The best distinct coarse poses of a model at each candidate.
+    """The best distinct coarse poses of a model at a candidate.
 
     Parameters
     ----------
-    places : (C, 3), candidates: where the model's topmost point may be, world.
-    keep : how many poses to keep of each.
+    scene : around the candidate, in the frame of its support.
+    top : height of the candidate above the support: of the model's topmost point.
+    keep : how many poses to keep.
 
     Returns
     -------
-    poses : (C, keep, 7)
-    gains : (C, keep), ``coarse_fit`` of each; 0 where there is no pose.
+    poses : (keep, 7)
+    gains : (keep,), ``coarse_fit`` of each; 0 where there is no pose.
     """
-    poses = np.zeros((len(places), keep, POSE))
-    gains = np.zeros((len(places), keep))
-    ground = scene.ground_at(places[:, :2])
-    grid, field = scene.grid, field_arrays(model)
-
-    def work(part: slice) -> None:
-        coarse_batch(grid, field, limits, places[part], ground[part], poses[part], gains[part])
-
-    for _ in map_threads(work, _parts(len(places)), threads):
-        pass
+    poses, gains = np.zeros((keep, POSE)), np.zeros(keep)
+    coarse_fits(scene, model, limits, top, poses, gains)
     return poses, gains
 
 
 def refine_poses(
-    scene: Surroundings,
-    model: ModelField,
-    limits: Tolerance,
-    starts: F64,
-    threads: int,
+    scene: CellGrid, model: FieldArrays, limits: Tolerance, starts: F64
 ) -> tuple[F64, F64]:
-    """Register the model from each start to convergence and gather the evidence there.
-
-    Parameters
-    ----------
-    starts : (S, 7)
+    """Register the model from each start (S, 7) to convergence and gather the evidence there.
 
     Returns
     -------
     poses : (S, 7)
     evidence : (S, len(EVIDENCE))
     """
-    poses = starts.copy()
-    evidence = np.zeros((len(starts), len(EVIDENCE)))
-    ground = scene.ground_at(starts[:, :2])
-    grid, field = scene.grid, field_arrays(model)
-
-    def work(part: slice) -> None:
-        refine_batch(grid, field, limits, ground[part], poses[part], evidence[part])
-
-    for _ in map_threads(work, _parts(len(starts)), threads):
-        pass
+    poses, evidence = starts.copy(), np.zeros((len(starts), len(EVIDENCE)))
+    refined(scene, model, limits, poses, evidence)
     return poses, evidence
 
 
@@ -98,13 +98,8 @@ class Course:
     rms_m: F64
 
 
-def course_of(scene: Surroundings, model: ModelField, limits: Tolerance, start: F64) -> Course:
+def course_of(scene: CellGrid, model: FieldArrays, limits: Tolerance, start: F64) -> Course:
     """The way of ``refine_poses`` from one start (7,)."""
     poses, rms_m = np.empty((PASSES * STEPS + 1, POSE)), np.empty(PASSES * STEPS + 1)
-    ground_z = float(scene.ground_at(start[None, :2])[0])
-    count = refine_course(scene.grid, field_arrays(model), limits, ground_z, start, poses, rms_m)
+    count = course(scene, model, limits, start, poses, rms_m)
     return Course(poses[:count], rms_m[:count])
-
-
-def _parts(count: int) -> list[slice]:
-    return [slice(i, min(i + _CHUNK, count)) for i in range(0, count, _CHUNK)]

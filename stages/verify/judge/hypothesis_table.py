@@ -3,46 +3,54 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
+from spinpipe.schemas.records import F64, I64
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
 from spinpipe.stages.verify.judge.scoring import PARTS
 from spinpipe.stages.verify.model.lookup import POSE
 
-F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
-
 
 @dataclass(frozen=True, eq=False)
 class Hypotheses:
-    """Hypotheses as columns: which candidate, which model, from where to where, how good."""
+    """Hypotheses as columns: which candidate, which model, from where to where, how good.
+
+    ``start`` and ``pose`` (S, 7) are in the world; ``lean`` (S, 2) are the slopes of what the object
+    stands on; ``odds`` (S,) is the logarithm of the odds that it is an instance, ``alone`` the same
+    without what its neighbours explain.
+    """
 
     candidate: I64
     model: I64
     start: F64
     pose: F64
+    lean: F64
     parts: F64
     evidence: F64
-    score: F64
+    odds: F64
+    alone: F64
+
+    @property
+    def score(self) -> F64:
+        """(S,) probabilities."""
+        return np.asarray(expit(self.odds))
+
+    @property
+    def rank(self) -> F64:
+        """(S,) by what the better of two is told: what neighbours explain counts half."""
+        return (self.odds + self.alone) / 2
 
     def rows(self, chosen: NDArray[np.integer] | NDArray[np.bool_]) -> Hypotheses:
         """Some of the hypotheses, by index or by mask."""
-        return Hypotheses(
-            self.candidate[chosen],
-            self.model[chosen],
-            self.start[chosen],
-            self.pose[chosen],
-            self.parts[chosen],
-            self.evidence[chosen],
-            self.score[chosen],
-        )
+        return Hypotheses(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
     def best_rows(self) -> I64:
         """Row of the best hypothesis of each candidate that has any, by candidate."""
-        order = np.lexsort((-self.score, self.candidate))
+        order = np.lexsort((-self.rank, self.candidate))
         fresh = np.r_[True, np.diff(self.candidate[order]) != 0][: len(order)]
         return order[fresh]
 
@@ -56,18 +64,14 @@ class Hypotheses:
     def none() -> Hypotheses:
         """No hypothesis."""
         rows = np.empty(0, np.int64)
-        pose, parts, evidence = (np.empty((0, n)) for n in (POSE, len(PARTS), len(EVIDENCE)))
-        return Hypotheses(rows, rows, pose, pose, parts, evidence, np.empty(0))
+        pose, lean, parts, evidence = (
+            np.empty((0, n)) for n in (POSE, 2, len(PARTS), len(EVIDENCE))
+        )
+        return Hypotheses(rows, rows, pose, pose, lean, parts, evidence, np.empty(0), np.empty(0))
 
     @staticmethod
     def joined(tables: Sequence[Hypotheses]) -> Hypotheses:
         """All hypotheses of several tables, in order."""
-        return Hypotheses(
-            np.concatenate([t.candidate for t in tables]),
-            np.concatenate([t.model for t in tables]),
-            np.concatenate([t.start for t in tables]),
-            np.concatenate([t.pose for t in tables]),
-            np.concatenate([t.parts for t in tables]),
-            np.concatenate([t.evidence for t in tables]),
-            np.concatenate([t.score for t in tables]),
-        )
+        tables = tables or [Hypotheses.none()]
+        names = [f.name for f in fields(Hypotheses)]
+        return Hypotheses(*(np.concatenate([getattr(t, n) for t in tables]) for n in names))

@@ -1,4 +1,4 @@
-"""What fits of a model are judged by: lengths that follow from model, density and noise."""
+"""What fits of a model are judged by: lengths that follow from model, density, noise and error."""
 
 from __future__ import annotations
 
@@ -7,11 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spinpipe.schemas.records import Sampling
 from spinpipe.stages.verify.model.field import ModelField
+
+GREATEST_ERROR = 0.12
+"""Error of a reconstructed shape, at most, as a share of half the narrow side: chosen. A car half as
+wide as 0.85 m may be off by 0.10 m; the paper accepts 0.115 m [Bovenkamp 2010, section 3.2]."""
 
 
 class Tolerance(NamedTuple):
-    """What a fit of one model is judged by; all follow from model, density and noise.
+    """What a fit of one model is judged by; all follow from model, density, noise and error.
 
     Attributes
     ----------
@@ -37,17 +42,29 @@ class Tolerance(NamedTuple):
     stretch: float
 
 
-def tolerance(model: ModelField, stretch: float, spacing_m: float, noise_m: float) -> Tolerance:
-    """Tolerances of a model in a cloud of given spacing and noise.
+def greatest_error_m(model: ModelField) -> float:
+    """How far the surface of an instance may be off at the size of the object, metres."""
+    return GREATEST_ERROR * model.narrow_m
 
-    The gate is three standard deviations of the noise, the spacing of the points and how badly the
-    shape itself is known: a model that may stretch by a share of its size is known to that share
-    of its narrow half extent, in quadrature.
+
+def tolerance(model: ModelField, stretch: float, sampling: Sampling, error_m: float) -> Tolerance:
+    """Tolerances of a model in a cloud.
+
+    The gate is three standard deviations of the noise of points and of the error of surfaces, the
+    spacing of the points and how badly the shape itself is known, in quadrature: a model that may
+    stretch by a share of its size is known to that share of its narrow half extent.
+
+    Parameters
+    ----------
+    model : the model.
+    stretch : largest relative change of each extent.
+    sampling : of the cloud.
+    error_m : standard deviation of a reconstructed surface at the size of the object.
     """
-    narrow = model.narrow_m
+    narrow, noise_m = model.narrow_m, sampling.noise_m
     shape = stretch * narrow
-    sharp = math.hypot(spacing_m, shape)
-    gate = math.hypot(3 * noise_m, sharp)
+    sharp = math.hypot(sampling.spacing_m, shape, 2 * error_m)
+    gate = math.hypot(sampling.spacing_m, shape, 3 * noise_m, 3 * error_m)
     step = 0.3 * narrow
     # the mean of the points in a column, two spacings around a probe
     column = math.hypot(sharp, 3 * noise_m / math.sqrt(4 * math.pi))

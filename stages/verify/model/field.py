@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from spinpipe.schemas.records import F64
 from spinpipe.stages.verify.model.outline import hull_edges, outline_points
 from spinpipe.stages.verify.model.sight import open_air, reached, turned_outward
 
@@ -84,22 +85,22 @@ class ModelField:
         """Half of the horizontal diagonal: no part is farther from the base centre."""
         return float(np.hypot(self.size[0], self.size[1]) / 2)
 
-    def looks_same(self, turn: float, noise_m: float, spacing_m: float) -> bool:
-        """Whether turned by ``turn`` radians about its middle it can hardly be told from itself.
+    def looks_same(self, turn: float, shift: F64, error_m: float, spacing_m: float) -> bool:
+        """Whether turned by ``turn`` radians and moved by (3,) it can hardly be told from itself.
 
         The mean distance from the turned surface to the surface [ADD-S: Hinterstoisser et al.
-        2012] is compared with the noise and the resolution of the model; or next to nothing of it
+        2012] is compared with the error of surfaces and the resolution of the model; or next to nothing of it
         lies farther away than the points are apart: the foot of a cone.
         """
         cos, sin = np.cos(turn), np.sin(turn)
         probe = self.samples[:: max(1, len(self.samples) // 1000)]
-        turned = probe @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        turned = probe @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]]) + shift
         cell = np.floor((turned - self.origin) / self.voxel_m).astype(int)
         if np.any(cell < 0) or np.any(cell >= np.array(self.nearest.shape)):
             return False
         near = self.samples[self.nearest[cell[:, 0], cell[:, 1], cell[:, 2]]]
         distance = np.linalg.norm(turned - near, axis=1)
-        if distance.mean() < max(self.resolution_m, noise_m):
+        if distance.mean() < max(self.resolution_m, error_m):
             return True
         other = distance > max(2 * self.resolution_m, spacing_m)
         return bool(other.mean() < NEXT_TO_NOTHING)

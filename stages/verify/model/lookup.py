@@ -15,6 +15,10 @@ POSE = 7
 """Numbers of a pose: x, y, z of the base centre, yaw, and the stretch along the object's axes."""
 
 
+TOP_SHARE = 0.05
+"""Share of its height by which a model's top may undulate."""
+
+
 class FieldArrays(NamedTuple):
     """The arrays of a ``ModelField``; those of probes in place of their indices."""
 
@@ -30,7 +34,9 @@ class FieldArrays(NamedTuple):
     side_normals: NDArray[np.float64]
     size: NDArray[np.float64]
     top: NDArray[np.float64]
-    """(2,) horizontal position of the topmost surface, as the spin image takes it."""
+    """(2,) middle of the top, on which a spin image's origin may be."""
+    top_half: NDArray[np.float64]
+    """(2,) half extents of the top."""
     origin: NDArray[np.float64]
     voxel_m: float
     nearest: NDArray[np.int32]
@@ -49,7 +55,7 @@ def field_arrays(model: ModelField) -> FieldArrays:
     """What kernels look up of a model."""
     surface = np.zeros((len(model.samples), 8))
     surface[:, :3], surface[:, 3:6] = model.samples, model.normals
-    top = model.samples[model.samples[:, 2] > 0.99 * model.size[2]]
+    top = model.samples[model.samples[:, 2] > (1.0 - TOP_SHARE) * model.size[2], :2]
     x, y = model.samples[:, 0], model.samples[:, 1]
     return FieldArrays(
         samples=model.samples,
@@ -61,7 +67,8 @@ def field_arrays(model: ModelField) -> FieldArrays:
         sides=model.samples[model.side_probes],
         side_normals=model.normals[model.side_probes],
         size=model.size,
-        top=top[:, :2].mean(axis=0),
+        top=(top.min(axis=0) + top.max(axis=0)) / 2,
+        top_half=np.ptp(top, axis=0) / 2,
         origin=model.origin,
         voxel_m=float(model.voxel_m),
         nearest=model.nearest,

@@ -2,12 +2,15 @@
 
 import numpy as np
 
+from spinpipe.schemas.records import CloudTile, TileIndex, Upright
 from spinpipe.stages.geometry.sampling import measure_sampling
 from spinpipe.stages.geometry.shapes import merged, sample_surface, surface_area
+from spinpipe.stages.geometry.world_cloud import WorldCloud
+from spinpipe.stages.verify.decide.decision import decide
 from spinpipe.stages.verify.decide.verdict import Rules
+from spinpipe.stages.verify.judge.search import Search
 from spinpipe.stages.verify.model.field import build_model_field
 from spinpipe.stages.verify.model.known_object import KnownObject
-from spinpipe.stages.verify.recognition import verify_candidates
 
 
 def known_object(name, mesh, stretch=0.0, visible_from="all"):
@@ -29,8 +32,25 @@ def cloud_of(items, extent, density, noise=0.0, seed=1):
     return cloud + rng.normal(0, noise, cloud.shape)
 
 
-def verdicts_on(cloud, objects, places, **rules):
+def cloud_in_memory(points):
+    """A cloud of one tile whose local frame is the world."""
+    xyz = np.asarray(points, np.float32)
+    tile = CloudTile(xyz, np.zeros((len(xyz), 3), np.uint8))
+    low, high = xyz.min(axis=0, keepdims=True), xyz.max(axis=0, keepdims=True)
+    index = TileIndex(low, high, np.array([len(xyz)]))
+    return WorldCloud.of([tile], index, Upright((0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)))
+
+
+def found_in(cloud, objects, places, sampling=None, threads=1, error_m=None, proposed=None):
+    """All hypotheses about candidates at places."""
+    places = np.array(places, float)
+    proposed = np.zeros(len(places), int) if proposed is None else np.array(proposed)
+    sampling = sampling or measure_sampling(cloud)
+    search = Search(objects, sampling, cloud_in_memory(cloud), places, proposed, threads)
+    return search.run(error_m, map, lambda count: None)
+
+
+def verdicts_on(cloud, objects, places, *, sampling=None, threads=1, proposed=None, **rules):
     """Verdicts on candidates at places."""
-    return verify_candidates(
-        cloud, objects, np.array(places, float), measure_sampling(cloud), Rules(**rules)
-    )
+    found = found_in(cloud, objects, places, sampling, threads, proposed=proposed)
+    return decide(found.examiner, found.table, np.array(places, float), Rules(**rules))

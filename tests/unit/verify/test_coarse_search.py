@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from spinpipe.stages.verify.scene.surroundings import build_surroundings
 
 from spinpipe.schemas.records import Sampling
 from spinpipe.stages.geometry.shapes import Mesh, box, merged, placed, sample_surface
@@ -12,7 +13,6 @@ from spinpipe.stages.verify.judge.tolerance import tolerance
 from spinpipe.stages.verify.model.field import build_model_field
 from spinpipe.stages.verify.model.lookup import field_arrays, half_diagonal
 from spinpipe.stages.verify.scene.candidate_points import Points
-from spinpipe.stages.verify.scene.surroundings import build_surroundings
 
 SAMPLING = Sampling(0.1, 0.02)
 KEEP = 3

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from spinpipe.stages.verify.recognition import verify_candidates
 from tests.unit.verify.standing import cloud_of, known_object, verdicts_on
 
 from spinpipe.stages.geometry.sampling import measure_sampling
@@ -11,7 +12,6 @@ from spinpipe.stages.verify.decide.verdict import Rules
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
 from spinpipe.stages.verify.judge.examiner import Examiner
 from spinpipe.stages.verify.judge.scoring import PARTS
-from spinpipe.stages.verify.recognition import verify_candidates
 
 
 def _turn_deg(a, b):

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
+from spinpipe.stages.verify.scene.surroundings import build_surroundings
 
 from spinpipe.schemas.records import Sampling
 from spinpipe.stages.geometry.columns import column_order
 from spinpipe.stages.geometry.sampling import measure_sampling
-from spinpipe.stages.verify.scene.surroundings import build_surroundings
 
 
 def _plane(rng, density, noise, extent=20.0, slope=0.0):
