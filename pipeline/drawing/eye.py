@@ -15,7 +15,8 @@ import rerun.blueprint as rrb
 from spinpipe.pipeline.drawing.drawing import Reader
 from spinpipe.pipeline.drawing.model import model_bounds
 from spinpipe.schemas import CAMERAS, TILES, UPRIGHT
-from spinpipe.schemas.records import F64, I64, ObjectModel, TileIndex
+from spinpipe.schemas.arrays import F64, I64
+from spinpipe.schemas.records import ObjectModel, TileIndex
 from spinpipe.stages.geometry.frames import transform
 
 DOWN_DEG = 60.0

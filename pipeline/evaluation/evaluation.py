@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from spinpipe.pipeline.evaluation.truth import TruthObject
-from spinpipe.schemas.records import F64, Detection
+from spinpipe.schemas.arrays import F64
+from spinpipe.schemas.records import Detection
 
 Rule = Literal["name", "any"]
 """Whether a detection must have the model that the truth names."""

@@ -14,7 +14,8 @@ from spinpipe.pipeline.evaluation.evaluation import Rule, Score, distances, gave
 from spinpipe.pipeline.evaluation.truth import TruthObject
 from spinpipe.pipeline.results.instances import ReadTopic
 from spinpipe.schemas import CLUSTERS, HITS, MODELS, SCORES
-from spinpipe.schemas.records import F32, F64, Detection, ObjectModel
+from spinpipe.schemas.arrays import F32, F64
+from spinpipe.schemas.records import Detection, ObjectModel
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from spinpipe.pipeline.evaluation.report import Evaluation
 from spinpipe.pipeline.evaluation.truth import TruthObject
 from spinpipe.pipeline.results.instances import ReadTopic
 from spinpipe.schemas import CLOUD, SCENE, UPRIGHT
-from spinpipe.schemas.records import F32, U8
+from spinpipe.schemas.arrays import F32, U8
 from spinpipe.stages.geometry.frames import to_world
 
 # Three lightnesses and three shapes, so that colour alone decides nothing

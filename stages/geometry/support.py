@@ -14,7 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spinpipe.schemas.records import F64, I64, Sampling
+from spinpipe.schemas.arrays import F64, I64
+from spinpipe.schemas.records import Sampling
 from spinpipe.stages.compiled import inner, sources
 from spinpipe.stages.geometry.columns import column_order
 
@@ -23,7 +24,7 @@ CELLS_PER_REACH = 5.0
 CELL_SPACINGS = 6.0
 """Side of a cell, at least, in point spacings: 36 points on level ground."""
 LOWEST_SHARE = 20
-"""A surface's height in a cell is that of the lowest twentieth of its points: things stand on it."""
+"""A surface's height in a cell is that of the lowest twentieth of its points."""
 FULL_SHARE = 0.1
 """Points of a surface in a cell, at least, as a share of those on level ground: fewer are stray."""
 SEEN_SHARE = 0.15

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.schemas.records import F64
+from spinpipe.schemas.arrays import F64
 from spinpipe.stages.ingest.colour_range import full_colour, to_8_bit
 from spinpipe.stages.ingest.coordinates import Coordinates, beside, from_crs
 from spinpipe.stages.ingest.guarded import guarded

@@ -7,15 +7,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from spinpipe.schemas.records import (
-    F64,
-    Cluster,
-    Detection,
-    FitTrace,
-    ObjectModel,
-    Part,
-    Sampling,
-)
+from spinpipe.schemas.arrays import F64
+from spinpipe.schemas.records import Cluster, Detection, FitTrace, ObjectModel, Part, Sampling
 from spinpipe.stages.geometry.frames import heading_deg, transform, vector
 from spinpipe.stages.geometry.model_surface import model_surface
 from spinpipe.stages.threads import map_threads
@@ -67,7 +60,7 @@ def verify_by_evidence(
     places = np.array([cluster.position for cluster in clusters], np.float64)
     proposed = np.array([names.index(cluster.model) for cluster in clusters])
     search = Search(objects, sampling, candidates.cloud, places, proposed, threads)
-    found = search.run(rules.error_m, map_blocks, advance)
+    found = search.run(rules.tolerance_m, map_blocks, advance)
     for name, error in zip(names, found.examiner.error_m, strict=True):
         log(f"surfaces are off by {error:.3f} m at the size of {name}")
     rows_of = found.table.rows_of_candidates(len(places))

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from spinpipe.schemas.records import F64, Cluster, ObjectModel
+from spinpipe.schemas.arrays import F64
+from spinpipe.schemas.records import Cluster, ObjectModel
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 
 

@@ -42,7 +42,14 @@ class Evidence(Section):
         default=0.01,
         ge=0,
         le=1,
-        description="least lead in score over another heading or type; below it: ambiguous",
+        description="least lead in score over another type, or a lesser heading is undecided",
+    )
+    tolerance_m: float | None = Field(
+        default=None,
+        gt=0,
+        le=100,
+        description="how far the surface of an instance may be off at the object's size, as a "
+        "standard deviation; none: measured on the candidates",
     )
 
 

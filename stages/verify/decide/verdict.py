@@ -16,8 +16,8 @@ Fate = Literal["accepted", "ambiguous", "duplicate", "rejected"]
 Cause = Literal[
     "shown", "score", "observed", "sheltered", "continues", "type", "duplicate", "nothing"
 ]
-"""What decided: enough of it is shown; the score; too little observed; it lies below something else;
-a body goes on beyond it; two models fit alike; it stands where another one stands; no surface."""
+"""What decided: enough of it is shown; the score; too little observed; it lies below something
+else; a body goes on beyond it; two models fit alike; another one stands there; no surface."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class Rules:
     min_observed: float = 0.1
     min_margin: float = 0.01
     max_sheltered: float = 0.5
-    error_m: float | None = None
-    """How far surfaces of instances are off; None: measured."""
+    tolerance_m: float | None = None
+    """How far surfaces of instances are off, a standard deviation; None: measured."""
 
 
 @dataclass(frozen=True, eq=False)

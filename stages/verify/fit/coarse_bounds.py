@@ -20,7 +20,7 @@ from spinpipe.stages.compiled import inner
 SLACK = 1.0001
 """Above the rounding of float32 sums over a few hundred points."""
 LONG_TOP = 1.5
-"""Half length of a top, in half widths of the model, from which a candidate may lie anywhere on it."""
+"""Half length of a top, in half widths, from which a candidate may lie anywhere on it: chosen."""
 DOUBT = 2e-3
 """Voxels from a border within which float32 may err about the column of a point."""
 
@@ -53,8 +53,8 @@ def gain(explained, unexplained, enough):
 def offset_steps(field, limits):
     """Steps along the object's x and y by which a candidate may lie off the middle of its top.
 
-    A long flat top looks the same from anywhere along it: a candidate may lie at its very end. Where
-    it is hardly longer than the object is wide, reaching farther would reach the neighbours.
+    A long flat top looks the same from anywhere along it: a candidate may lie at its very end.
+    Where it is hardly longer than the object is wide, reaching on would reach the neighbours.
     """
     narrow = min(field.size[0], field.size[1]) / 2
     reach_x = field.top_half[0] if field.top_half[0] > LONG_TOP * narrow else limits.offset_m

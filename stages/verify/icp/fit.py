@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spinpipe.schemas.records import F32, F64
+from spinpipe.schemas.arrays import F32, F64
 from spinpipe.stages.geometry.frames import heading_deg
 
 DISTINCT_HEADING_DEG = 30.0

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import KDTree
 
-from spinpipe.schemas.records import F32, F64
+from spinpipe.schemas.arrays import F32, F64
 from spinpipe.stages.verify.icp.fit import IcpFit, start_poses
 
 

@@ -8,15 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from spinpipe.schemas.records import (
-    F32,
-    F64,
-    Cluster,
-    Detection,
-    FitTrace,
-    ObjectModel,
-    SpinImage,
-)
+from spinpipe.schemas.arrays import F32, F64
+from spinpipe.schemas.records import Cluster, Detection, FitTrace, ObjectModel, SpinImage
 from spinpipe.stages.geometry.frames import heading_deg, inverse, transform, vector
 from spinpipe.stages.geometry.model_surface import topmost_point
 from spinpipe.stages.verify.candidates import Candidates

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spinpipe.schemas.records import F64
+from spinpipe.schemas.arrays import F64
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
 from spinpipe.stages.verify.judge.examiner import Examiner
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.schemas.records import F64, I64, Sampling
+from spinpipe.schemas.arrays import F64, I64
+from spinpipe.schemas.records import Sampling
 from spinpipe.stages.geometry.support import (
     Surfaces,
     find_support,
@@ -97,8 +98,7 @@ class Examiner:
         self.support_reach_m = reach_of(max(o.field.reach_m * (1 + o.stretch) for o in objects))
 
         self.scene_m: tuple[float, ...] = tuple(
-            reach(a, t) + 2 * t.coarse_gate_m
-            for a, t in zip(self.arrays, self.limits, strict=True)
+            reach(a, t) + 2 * t.coarse_gate_m for a, t in zip(self.arrays, self.limits, strict=True)
         )
         """How far from a candidate the points of each model and of what touches it lie."""
 
@@ -180,7 +180,7 @@ class Examiner:
         return origin, lean, support.found > 0
 
     def _rivals(self, block: Block, found: Hypotheses, threads: int) -> Hypotheses:
-        """All models, at all headings that are plausible, from distinct places that are promising."""
+        """All models, at all plausible headings, from distinct places that are promising."""
         found = found.rows(found.odds >= WORTH_A_SECOND_LOOK)
         distinct = resolve(found.pose[:, :4], self.sizes(found), found.odds, max_overlap=0.5) < 0
         found = found.rows(distinct)
@@ -212,7 +212,7 @@ class Examiner:
         return np.flatnonzero(fits & (self.stretch[m] > 0))
 
     def _quarters(self, m: int) -> tuple[int, ...]:
-        """Quarter turns at which a model may be mistaken for itself: a long one only end for end."""
+        """Quarter turns that may be mistaken for each other: of a long one only end for end."""
         length, width = self.objects[m].field.size[:2]
         return (0, 2) if max(length, width) > LONG * min(length, width) else (0, 1, 2, 3)
 

@@ -1,8 +1,8 @@
 """One candidate: where a model may stand there, where it fits best, and what speaks for it.
 
-Each candidate is looked at in the frame of the support it stands on: its place at the origin, z along
-the support's normal. Each is worked on alone and by one thread, so neither the number of threads nor
-the other candidates change its result.
+Each candidate is looked at in the frame of the support it stands on: its place at the origin, z
+along the support's normal. Each is worked on alone and by one thread, so neither the number of
+threads nor the other candidates change its result.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spinpipe.schemas.records import F64
+from spinpipe.schemas.arrays import F64
 from spinpipe.stages.geometry.frames import leaning
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
 from spinpipe.stages.verify.fit.registration import PASSES, STEPS

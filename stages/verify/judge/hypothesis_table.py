@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from spinpipe.schemas.records import F64, I64
+from spinpipe.schemas.arrays import F64, I64
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
 from spinpipe.stages.verify.judge.scoring import PARTS
 from spinpipe.stages.verify.model.lookup import POSE
@@ -19,9 +19,9 @@ from spinpipe.stages.verify.model.lookup import POSE
 class Hypotheses:
     """Hypotheses as columns: which candidate, which model, from where to where, how good.
 
-    ``start`` and ``pose`` (S, 7) are in the world; ``lean`` (S, 2) are the slopes of what the object
-    stands on; ``odds`` (S,) is the logarithm of the odds that it is an instance, ``alone`` the same
-    without what its neighbours explain.
+    ``start`` and ``pose`` (S, 7) are in the world; ``lean`` (S, 2) are the slopes of what the
+    object stands on; ``odds`` (S,) is the logarithm of the odds that it is an instance, ``alone``
+    the same without what its neighbours explain.
     """
 
     candidate: I64

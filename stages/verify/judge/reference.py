@@ -1,8 +1,8 @@
-"""What a right instance would score in a cloud of this density, noise and error: the unit of a score.
+"""What a right instance would score in such a cloud: the unit of a score.
 
 Sparse, noisy or wavy clouds support even a perfect fit only in part, and every model loses in its
-own way. So the model itself is put on level ground, sampled and disturbed as the cloud is, and judged
-at its true pose by the very rules that judge candidates.
+own way. So the model itself is put on level ground, sampled and disturbed as the cloud is, and
+judged at its true pose by the very rules that judge candidates.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spinpipe.schemas.records import F64, Sampling
+from spinpipe.schemas.arrays import F64
+from spinpipe.schemas.records import Sampling
 from spinpipe.stages.geometry.model_surface import points_on
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
 from spinpipe.stages.verify.judge.hypotheses import Place, refine_poses

@@ -9,7 +9,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from spinpipe.schemas.records import F32, F64, I64, Sampling
+from spinpipe.schemas.arrays import F32, F64, I64
+from spinpipe.schemas.records import Sampling
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.verify.judge.errors import measured_errors
 from spinpipe.stages.verify.judge.examiner import Examination, Examiner, blocks
@@ -56,8 +57,8 @@ class _Task:
 class Search:
     """What to look for, and where.
 
-    ``places`` (C, 3) are the candidates, world; ``proposed`` (C,) as which object each was proposed;
-    ``threads`` never changes a result.
+    ``places`` (C, 3) are the candidates, world; ``proposed`` (C,) as which object each was
+    proposed; ``threads`` never changes a result.
     """
 
     objects: Sequence[KnownObject]

@@ -11,8 +11,8 @@ from spinpipe.schemas.records import Sampling
 from spinpipe.stages.verify.model.field import ModelField
 
 GREATEST_ERROR = 0.12
-"""Error of a reconstructed shape, at most, as a share of half the narrow side: chosen. A car half as
-wide as 0.85 m may be off by 0.10 m; the paper accepts 0.115 m [Bovenkamp 2010, section 3.2]."""
+"""Error of a reconstructed shape, at most, as a share of half the narrow side: chosen. A car of
+half width 0.85 m may be off by 0.10 m; the paper accepts 0.115 m [Bovenkamp 2010, section 3.2]."""
 
 
 class Tolerance(NamedTuple):

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from spinpipe.schemas.records import F64
+from spinpipe.schemas.arrays import F64
 from spinpipe.stages.verify.model.outline import hull_edges, outline_points
 from spinpipe.stages.verify.model.sight import open_air, reached, turned_outward
 
@@ -89,8 +89,8 @@ class ModelField:
         """Whether turned by ``turn`` radians and moved by (3,) it can hardly be told from itself.
 
         The mean distance from the turned surface to the surface [ADD-S: Hinterstoisser et al.
-        2012] is compared with the error of surfaces and the resolution of the model; or next to nothing of it
-        lies farther away than the points are apart: the foot of a cone.
+        2012] is compared with the error of surfaces and the resolution of the model; or next to
+        nothing of it lies farther away than the points are apart: the foot of a cone.
         """
         cos, sin = np.cos(turn), np.sin(turn)
         probe = self.samples[:: max(1, len(self.samples) // 1000)]

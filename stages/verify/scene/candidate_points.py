@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spinpipe.schemas.records import F64
+from spinpipe.schemas.arrays import F64
 from spinpipe.stages.compiled import inner
 from spinpipe.stages.verify.scene.cell_grid import within
 

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.schemas.records import F64, I64, Sampling
+from spinpipe.schemas.arrays import F64, I64
+from spinpipe.schemas.records import Sampling
 from spinpipe.stages.compiled import inner
 from spinpipe.stages.geometry.columns import column_order
 
