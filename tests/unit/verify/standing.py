@@ -44,7 +44,10 @@ def cloud_in_memory(points):
 def found_in(cloud, objects, places, sampling=None, threads=1, error_m=None, proposed=None):
     """All hypotheses about candidates at places."""
     places = np.array(places, float)
-    proposed = np.zeros(len(places), int) if proposed is None else np.array(proposed)
+    if proposed is None:  # as the one that is about as high
+        heights = np.array([o.field.size[2] for o in objects])
+        proposed = np.abs(places[:, 2:] - heights).argmin(axis=1)
+    proposed = np.asarray(proposed)
     sampling = sampling or measure_sampling(cloud)
     search = Search(objects, sampling, cloud_in_memory(cloud), places, proposed, threads)
     return search.run(error_m, map, lambda count: None)

@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from tests.unit.verify.standing import cloud_of, known_object, verdicts_on
+from tests.unit.verify.standing import cloud_of, found_in, known_object, verdicts_on
 
-from spinpipe.stages.geometry.sampling import measure_sampling
 from spinpipe.stages.geometry.shapes import box, cylinder, merged, placed, sample_surface
-from spinpipe.stages.verify.judge.examiner import Examiner
-from spinpipe.stages.verify.judge.scoring import score
+from spinpipe.stages.verify.judge.scoring import log_odds
 from spinpipe.stages.verify.model.field import build_model_field
 
 CABINET = box(0.9, 0.45, 1.2)
@@ -68,6 +66,7 @@ def test_a_right_instance_scores_high_in_anycloud_of():
     """Scores are relative to what a right instance gets: noise does not lower them."""
     for noise in (0.0, 0.05):
         cloud = cloud_of([CABINET], 8, 2000, noise)
-        examiner = Examiner([known_object("cabinet", CABINET)], measure_sampling(cloud))
-        assert score(examiner.reference, examiner.reference, np.zeros(1))[0] > 0.95
-        assert verdicts_on(cloud, examiner.objects, [(0, 0, 1.2)])[0].score > 0.9
+        cabinet = [known_object("cabinet", CABINET)]
+        reference = found_in(cloud, cabinet, [(0, 0, 1.2)]).examiner.reference
+        assert log_odds(reference, reference)[0] > 3
+        assert verdicts_on(cloud, cabinet, [(0, 0, 1.2)])[0].score > 0.9

@@ -2,15 +2,12 @@
 
 import numpy as np
 import pytest
-from spinpipe.stages.verify.recognition import verify_candidates
-from tests.unit.verify.standing import cloud_of, known_object, verdicts_on
+from tests.unit.verify.standing import cloud_of, found_in, known_object, verdicts_on
 
 from spinpipe.stages.geometry.sampling import measure_sampling
 from spinpipe.stages.geometry.shapes import Mesh, box, cylinder, merged, placed
 from spinpipe.stages.ingest.vehicles import vehicle_mesh
-from spinpipe.stages.verify.decide.verdict import Rules
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
-from spinpipe.stages.verify.judge.examiner import Examiner
 from spinpipe.stages.verify.judge.scoring import PARTS
 
 
@@ -58,16 +55,18 @@ def test_one_instance_one_detection(cars, lot):
     cloud = cloud_of(lot, 24, 110)
     verdicts = verdicts_on(cloud, cars, [[-5, 0.1, 1.42], [-4.6, 0.2, 1.4], [-5.5, -0.2, 1.38]])
     assert [v.fate for v in verdicts].count("accepted") == 1
-    assert sum("overlaps candidate" in v.reason for v in verdicts) == 2
+    assert [v.cause for v in verdicts].count("duplicate") == 2
+    kept = next(v.candidate for v in verdicts if v.fate == "accepted")
+    assert all(v.duplicate_of == kept for v in verdicts if v.fate == "duplicate")
 
 
 def test_threads_order_and_blocks_leave_no_trace(cars, lot):
     cloud = cloud_of(lot, 24, 110, 0.03)
     sampling = measure_sampling(cloud)
     places = np.array(PLACES, float)
-    first = verify_candidates(cloud, cars, places, sampling, Rules(), threads=1)
+    first = verdicts_on(cloud, cars, places, sampling=sampling, threads=1)
     shuffled = cloud[np.random.default_rng(9).permutation(len(cloud))]
-    other = verify_candidates(shuffled, cars, places, sampling, Rules(), threads=3)
+    other = verdicts_on(shuffled, cars, places, sampling=sampling, threads=3)
     for a, b in zip(first, other, strict=True):
         assert np.array_equal(a.pose, b.pose)
         assert (a.fate, a.reason, a.score) == (b.fate, b.reason, b.score)
@@ -75,7 +74,7 @@ def test_threads_order_and_blocks_leave_no_trace(cars, lot):
 
 def test_courses_lead_from_the_start_to_the_fit(cars, lot):
     cloud = cloud_of(lot, 24, 110)
-    found = Examiner(cars, measure_sampling(cloud)).examine(cloud, np.array(PLACES, float), 1)
+    found = found_in(cloud, cars, PLACES)
     best = found.table.rows(found.table.best_rows())
     assert {0, 1, 3} <= set(found.courses)
     for candidate, course in found.courses.items():
@@ -96,7 +95,7 @@ def test_turned_and_shifted_scene_moves_detections_with_it(cars, lot):
         assert a.fate == b.fate
         if a.fate == "accepted":
             assert np.linalg.norm(R @ a.pose[:3] + shift - b.pose[:3]) < 0.01
-            assert _turn_deg(a.pose[3] + angle, b.pose[3]) < 0.2
+            assert _turn_deg(a.pose[3] + angle, b.pose[3]) < 0.5  # other points are kept
 
 
 def test_ground_seen_through_it_denies_a_ghost(cars):

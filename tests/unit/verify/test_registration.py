@@ -114,13 +114,13 @@ def test_field_knows_body_sight_and_symmetry(saloon):
     assert saloon.seen_weight.sum() == pytest.approx(1)
     assert (saloon.normals[saloon.probes, 2] > 0).all()
     assert np.allclose(np.linalg.norm(saloon.edges[:, 2:], axis=1), 1)
-    assert not saloon.looks_same(np.pi, 0.0, 0.05)
+    assert not saloon.looks_same(np.pi, np.zeros(3), 0.0, 0.05)
     barrel = cylinder(0.3, 0.9)
     points, normals = sample_surface(*barrel, 30_000, np.random.default_rng(0))
-    assert build_model_field("barrel", points, normals).looks_same(1.234, 0.0, 0.05)
+    assert build_model_field("barrel", points, normals).looks_same(1.234, np.zeros(3), 0.0, 0.05)
     bench = merged([box(1.4, 0.4, 0.06), placed(box(0.06, 0.4, 0.4), (0.6, 0, 0.06))])
     points, normals = sample_surface(*bench, 30_000, np.random.default_rng(0))
-    assert not build_model_field("bench", points, normals).looks_same(np.pi, 0.0, 0.05)
+    assert not build_model_field("bench", points, normals).looks_same(np.pi, np.zeros(3), 0.0, 0.05)
 
 
 def test_field_refuses_what_is_no_body():

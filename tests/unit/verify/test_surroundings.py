@@ -1,10 +1,14 @@
 import numpy as np
 import pytest
-from spinpipe.stages.verify.scene.surroundings import build_surroundings
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from spinpipe.schemas.records import Sampling
 from spinpipe.stages.geometry.columns import column_order
+from spinpipe.stages.geometry.frames import leaning
 from spinpipe.stages.geometry.sampling import measure_sampling
+from spinpipe.stages.verify.judge.hypotheses import Place
+from spinpipe.stages.verify.scene.cell_grid import grid_of
 
 
 def _plane(rng, density, noise, extent=20.0, slope=0.0):
@@ -38,31 +42,42 @@ def test_columns_ignore_the_order_of_points():
         assert np.array_equal(one, other)
 
 
-def test_cells_hold_their_points_and_heights_start_at_the_ground():
+def test_cells_hold_their_points():
     rng = np.random.default_rng(3)
     ground = _plane(rng, 100, 0.01, slope=0.02)
-    box = np.c_[rng.uniform(8, 12, (1600, 2)), rng.uniform(1.2, 1.3, 1600)]
-    scene = build_surroundings(np.concatenate([ground, box]), Sampling(0.1, 0.01), 4.0)
-    cell = np.floor((scene.points[:, :2] - scene.corner) / scene.cell_m + 1e-9).astype(int)
-    number = cell[:, 0] * scene.cells[1] + cell[:, 1]
-    assert np.array_equal(
-        scene.start[1:] - scene.start[:-1], np.bincount(number, minlength=int(scene.cells.prod()))
-    )
-    on_box = scene.points[:, 2] > 1.1
-    assert np.abs(scene.heights[~on_box]).max() < 0.25
-    assert scene.heights[on_box].min() > 0.9
-    assert abs(scene.ground_at(np.array([[10.0, 10.0]]))[0] - 0.2) < 0.15
-    assert scene.weights.min() > 0
-    assert scene.weights.max() <= 1
+    grid = grid_of(ground, Sampling(0.1, 0.01))
+    cell = np.floor((grid.points[:, :2] - grid.corner) / grid.cell_m + 1e-9).astype(int)
+    number = cell[:, 0] * grid.columns + cell[:, 1]
+    counts = np.bincount(number, minlength=grid.rows * grid.columns)
+    assert np.array_equal(np.diff(grid.start), counts)
+    assert grid.weights.min() > 0
+    assert grid.weights.max() <= 1
 
 
 def test_a_tile_is_ordered_as_the_whole():
     rng = np.random.default_rng(4)
     points = _plane(rng, 100, 0.01)
     sampling = Sampling(0.1, 0.01)
-    whole = build_surroundings(points, sampling, 1.0)
-    part = build_surroundings(points[points[:, 0] < 10], sampling, 1.0)
-    inner = whole.points[:, 0] < 7
-    same = part.points[:, 0] < 7
+    whole, part = grid_of(points, sampling), grid_of(points[points[:, 0] < 10], sampling)
+    inner, same = whole.points[:, 0] < 7, part.points[:, 0] < 7
     assert np.array_equal(whole.points[inner], part.points[same])
-    assert np.allclose(whole.heights[inner], part.heights[same])
+
+
+@given(
+    slopes=st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5)),
+    place=st.tuples(st.floats(-2, 22), st.floats(-2, 22), st.floats(-3, 3)),
+    radius=st.floats(0.3, 8),
+)
+@settings(max_examples=30)
+def test_a_place_is_seen_in_its_own_frame_as_plain_numpy_sees_it(slopes, place, radius):
+    rng = np.random.default_rng(5)
+    cloud = _plane(rng, 40, 0.3)
+    grid = grid_of(cloud, Sampling(0.16, 0.3))
+    seen = Place(np.array(place), np.array(slopes), 1.0).scene(grid, radius)
+    near = np.hypot(*(grid.points[:, :2] - place[:2]).T) < radius
+    turned = (grid.points[near] - place) @ leaning(slopes)
+    half = seen.rows // 2 * seen.cell_m
+    turned = turned[(np.abs(turned[:, :2]) < half - 1e-9).all(axis=1)]
+    inner = seen.points[(np.abs(seen.points[:, :2]) < half - 1e-9).all(axis=1)]
+    order = [np.lexsort(np.round(p, 9).T) for p in (turned, inner)]
+    assert np.allclose(turned[order[0]], inner[order[1]], atol=1e-9)
