@@ -148,9 +148,21 @@ def init_command(path: Path, scene: str, model: str, force: bool) -> None:
         write_example(example)
         scene, model = "example/scene.ply", "example/model_1.ply"
         console.print(f"wrote {example}/: the artificial scene", highlight=False)
-    text = commented_config(path.name, scene, model)
+    text = commented_config(path.name, scene, model, is_mesh=_has_faces(Path(model)))
     write_new(path, lambda file: file.write_text(text, encoding="utf-8"), force=force)
     console.print(f"wrote {path}; now: spinpipe run {path}", highlight=False, soft_wrap=True)
+
+
+def _has_faces(model: Path) -> bool:
+    """Whether a file is a mesh, as far as its name and its head tell."""
+    if model.suffix.lower() != ".ply":
+        return model.suffix.lower() in (".obj", ".stl", ".glb", ".gltf", ".off", ".dae")
+    if not model.is_file():
+        return False
+    with model.open("rb") as file:
+        words = file.read(4096).split(b"end_header")[0].split()
+    faces = [words[i + 1] for i in range(len(words) - 1) if words[i] == b"face"]
+    return any(count not in (b"0", b"property") for count in faces)
 
 
 def stages_command() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import tomli_w
 
@@ -17,16 +17,23 @@ HEADER = """\
 """
 
 
-def commented_config(file: str, scene: str, model: str) -> str:
+OF_A_MESH: dict[str, str | float] = {"visible_from": "above", "stretch": 0.1}
+"""What is assumed of a mesh: a drone sees things from above, and a drawn shape stands for its kind.
+A cloud is taken for what instances look like."""
+
+
+def commented_config(file: str, scene: str, model: str, *, is_mesh: bool) -> str:
     """A config for one scene and one model with all keys explained."""
     lines = [HEADER.format(file=file)]
     for name, section in SECTIONS.items():
-        given = {"name": _name(model), "path": model} if name == MODEL else {"scene": scene}
+        given: dict[str, str | float] = {"scene": scene}
+        if name == MODEL:
+            given = {"name": _name(model), "path": model} | (OF_A_MESH if is_mesh else {})
         lines += _section(brackets(name), section, given)
     return "\n".join(lines) + "\n"
 
 
-def _section(title: str, section: type[Section], given: dict[str, str]) -> Iterator[str]:
+def _section(title: str, section: type[Section], given: Mapping[str, str | float]) -> Iterator[str]:
     yield f"# {(section.__doc__ or '').strip().partition(chr(10))[0]}"
     yield title
     for key, field in own_keys(section).items():

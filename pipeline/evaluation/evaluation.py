@@ -228,7 +228,7 @@ def _one_a_place(detections: Sequence[Detection], order: list[int]) -> list[int]
 
 def gave_way(detection: Detection) -> bool:
     """Whether a better one stands in the same place."""
-    return detection.cause == "duplicate"
+    return detection.fate == "duplicate"
 
 
 def percentiles(values: Sequence[float | None], *levels: float) -> list[float | None]:

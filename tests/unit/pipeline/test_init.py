@@ -11,7 +11,7 @@ import pytest
 from spinpipe.pipeline.config import SECTIONS, brackets, load_config, own_keys
 from spinpipe.pipeline.init import commented_config
 
-TEXT = commented_config("config.toml", "lot/scene.ply", "lot/saloon v2.obj")
+TEXT = commented_config("config.toml", "lot/scene.ply", "lot/saloon v2.obj", is_mesh=True)
 
 
 def test_it_is_a_config_with_the_scene_and_the_model(tmp_path: Path) -> None:
@@ -58,5 +58,5 @@ def test_lines_fit_a_hundred_columns() -> None:
 
 @pytest.mark.parametrize("model", ["C:\\models\\car.obj", 'say "car".obj', "a\\b.obj"])
 def test_odd_file_names_stay_what_they_are(tmp_path: Path, model: str) -> None:
-    document = tomllib.loads(commented_config("config.toml", "scene.ply", model))
+    document = tomllib.loads(commented_config("config.toml", "scene.ply", model, is_mesh=False))
     assert document["model"][0]["path"] == model

@@ -157,7 +157,7 @@ def test_touching_or_moving_an_input_is_no_reason(yard_run: YardRun) -> None:
 def test_another_model_costs_neither_import_nor_ground(finished_yard: YardRun) -> None:
     steps = plan(finished_yard, "model.saloon.stretch=0.1")
     assert running(steps) == ["model", "scan", "cluster", "verify"]
-    assert reason(steps, "model") == "[[model]] 'saloon' stretch changed"
+    assert reason(steps, "model") == "[[model]] 'saloon' stretch changed from 0.0 to 0.1"
     assert reason(steps, "scan") == "model changed"
 
 
