@@ -88,7 +88,7 @@ def winner_of(d: Detection, detections: Sequence[Detection]) -> int | None:
     stated = getattr(d, "duplicate_of", -1)
     if stated is not None and stated >= 0:
         return int(stated)
-    if d.fate in ("accepted", "ambiguous") or f"{d.fate} {d.reason}".find("overlap") < 0:
+    if d.fate != "duplicate":
         return None
     kept = [k for k in detections if k.fate in ("accepted", "ambiguous")]
     if not kept:

@@ -37,7 +37,8 @@ class LasSource:
     """
 
     def __init__(self, path: Path) -> None:
-        import laspy  # noqa: F401  here once, not in each child
+        # imported here once, not in each child
+        import laspy  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
         self._path = path
         self._counted = _check_header(path)
@@ -123,7 +124,7 @@ def _points(
         for records in reader.chunk_iterator(points):
             xyz = np.empty((len(records), 3))
             for column, axis in enumerate((records.x, records.y, records.z)):
-                xyz[:, column] = axis
+                xyz[:, column] = np.asarray(axis, np.float64)
             yield xyz, _colours(records) if coloured else None
 
 

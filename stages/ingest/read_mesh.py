@@ -72,7 +72,8 @@ def read_mesh(path: Path, kind: str) -> FileMesh | None:
                 f"{path}: its geometry is compressed with Draco; install DracoPy "
                 "(pip install 'spinpipe[draco]'), or export it without compression"
             )
-        import trimesh  # noqa: F401  here once, not in each child
+        # imported here once, not in each child
+        import trimesh  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
         vertices, faces, rgb = next(iter(guarded(_by_trimesh, path, kind)))
         # glTF: +y is up [Khronos glTF 2.0, section 3.4]

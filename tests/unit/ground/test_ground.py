@@ -111,8 +111,9 @@ def test_any_orientation_and_noise(seed, noise_m):
     turn = Rotation.random(random_state=seed)
     try:
         plane, upright = ground_of(turn.apply(scene) + (3, -7, 11))
-    except StageError as error:  # in noise as high as a car it may stop, never guess
-        assert noise_m >= 0.1, error
+    except StageError:  # in much noise it may stop, never guess
+        if noise_m < 0.1:
+            raise
         return
     normal = np.array(plane.normal)
     assert angle_deg(normal, turn.apply(UP)) < (0.2 if noise_m < 0.1 else 0.8)

@@ -151,9 +151,7 @@ def test_curve():
         detection(30.0, number=3, score=0.6),
         # no second candidate for the same place
         detection(10.2, number=4, score=0.5, fate="rejected"),
-        detection(
-            11.8, number=5, score=0.4, fate="duplicate", reason="stands where candidate 2 stands"
-        ),
+        detection(11.8, number=5, score=0.4, fate="duplicate", reason="as 2"),
     ]
     curve = precision_recall(truths, detections, 1.5, "any")
     np.testing.assert_allclose(curve.score, [0.9, 0.8, 0.7, 0.6])

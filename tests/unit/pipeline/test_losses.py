@@ -86,7 +86,7 @@ def messages(hits: list[float], starts: list[float], scored: list[float]) -> Any
         (
             [0.3],
             0.2,
-            (0.3, "duplicate", "stands where candidate 7 stands"),
+            (0.3, "duplicate", "as candidate 7"),
             "resolve",
             "candidate 7",
         ),
