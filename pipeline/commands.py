@@ -12,7 +12,7 @@ from rich.console import Console
 from spinpipe.pipeline.advice import advice
 from spinpipe.pipeline.atomic import write_atomically
 from spinpipe.pipeline.config import ConfigError, RunConfig, load_config
-from spinpipe.pipeline.context import RunReader, thread_count
+from spinpipe.pipeline.context import RunReader, require_origin, thread_count
 from spinpipe.pipeline.demo import DEMO_CONFIG, EXAMPLE_FILES, write_example
 from spinpipe.pipeline.drawing.recording import RecordMode
 from spinpipe.pipeline.engine import open_engine
@@ -26,6 +26,7 @@ from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.pipeline.run_state import keys_in, require_inputs_apart, write_config
 from spinpipe.pipeline.runner import Runner, report_document
 from spinpipe.pipeline.tables import detection_table, plan_table, stage_tables
+from spinpipe.stages import STAGES
 from spinpipe.stages.stage import StageError
 
 if TYPE_CHECKING:
@@ -175,6 +176,9 @@ def stages_command() -> None:
 def record_command(path: Path, rerun: RecordMode, labels: Path | None, force: bool) -> None:
     """``spinpipe record``."""
     folder, config = open_run_folder(path)
+    for stage in STAGES:  # a damaged file is no missing one
+        if folder.mcap(stage.name).exists():
+            require_origin(folder, stage.name)
     keys = keys_in(folder)
     if not keys:
         raise StageError(f"{path}: no stage is complete yet; run the config first")

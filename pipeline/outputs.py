@@ -142,6 +142,7 @@ def locked(folder: Path, *, force: bool = False) -> Generator[Outputs]:
     StageError
         If another process works in it.
     """
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / LOCK).open("a") as stream:
         try:
@@ -151,7 +152,19 @@ def locked(folder: Path, *, force: bool = False) -> Generator[Outputs]:
                 f"{folder}: another spinpipe works in this folder; "
                 "wait for it or choose another with --output"
             ) from None
-        yield Outputs(folder, force=force)
+        try:
+            yield Outputs(folder, force=force)
+        finally:
+            _remove_if_nothing_came_of_it(folder, made)
+
+
+def _remove_if_nothing_came_of_it(folder: Path, made: list[Path]) -> None:
+    """Leave no folder behind that holds only our own marks, nor parents made for it."""
+    if made and {path.name for path in folder.iterdir()} <= {LOCK, MARK}:
+        for path in folder.iterdir():
+            path.unlink()
+        for path in made:
+            path.rmdir()
 
 
 def write_new(path: Path, fill: Callable[[Path], object], *, force: bool = False) -> None:

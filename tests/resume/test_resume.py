@@ -284,7 +284,6 @@ def test_left_overs_of_any_content_do_no_harm(
         path.with_suffix(".mcap.interrupted").write_bytes(left)
     for name in (*RESULTS, "config.resolved.toml", "run.rrd"):
         (yard_run.output / f"{name}.partial").write_bytes(left)
-    (yard_run.output / ".scratch-old").mkdir()
     go_on(cli, yard_run, "--from", "ground")
     assert_same_results_of_the_stages_that_ran(yard_run, finished_yard)
 
@@ -392,7 +391,9 @@ def test_an_error_of_a_stage_leaves_what_was_complete(
     cli: Cli, finished_yard: YardRun, yard_run: YardRun
 ) -> None:
     """A stage that fails must not cost the file that an earlier run made."""
-    outcome = go_on(cli, yard_run, "--set", "ingest.scale=0.01")
+    outcome = go_on(
+        cli, yard_run, "--set", "ground.sample_points=1000", "--set", "model.saloon.scale=1000"
+    )
     assert outcome.code == 1
     assert ran(go_on(cli, yard_run)) == []
     assert_same_results(yard_run, finished_yard)

@@ -29,6 +29,7 @@ def test_it_changes_no_default(tmp_path: Path) -> None:
     minimal.write_text(
         "[run]\nname = 'config'\n[ingest]\nscene = 'lot/scene.ply'\n"
         "[[model]]\nname = 'saloon_v2'\npath = 'lot/saloon v2.obj'\n"
+        "visible_from = 'above'\nstretch = 0.1\n"
     )
     assert load_config(path) == load_config(minimal)
 
