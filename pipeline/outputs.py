@@ -154,8 +154,9 @@ def locked(folder: Path, *, force: bool = False) -> Generator[Outputs]:
             ) from None
         try:
             yield Outputs(folder, force=force)
-        finally:
+        except BaseException:
             _remove_if_nothing_came_of_it(folder, made)
+            raise
 
 
 def _remove_if_nothing_came_of_it(folder: Path, made: list[Path]) -> None:
