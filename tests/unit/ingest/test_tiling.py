@@ -45,7 +45,7 @@ def tiles(points: NDArray[Any], most: int, folder: Path, chunk: int = 1000) -> l
     for start in range(0, len(points), chunk):
         sample.add(points["xyz"][start : start + chunk].astype(np.float64))
     split = kd_split(sample.points.astype(np.float32), len(points), most)
-    with ScatterFile(folder / "points", split.leaves) as scatter:
+    with ScatterFile(folder, split.leaves) as scatter:
         for start in range(0, len(points), chunk):
             piece = points[start : start + chunk]
             scatter.append(piece, split.leaf_of(piece["xyz"]))
