@@ -16,12 +16,17 @@ from spinpipe.stages.stage import StageError
 _CLOCK_S = 0.02
 """A file system counts time in steps of up to so long: a change within one would go unseen."""
 
+_PHOTOS = (".jpg", ".jpeg")
+_PHOTO_HEAD = 1 << 17
+"""EXIF is one segment near the beginning, of at most 64 KiB [CIPA DC-008, 4.7.2]."""
+
 Identity = tuple[tuple[str | int, ...], ...]
 
 
 def hash_path(path: Path, key: str) -> str:
     """Hash of a file's content, or of all files below a folder with their relative names.
 
+    Of photos in a folder, the size and the head count: stages read what their EXIF says.
     The content of a glTF file includes the buffers that it refers to. A run's folder below an
     input is no part of it.
 
@@ -36,7 +41,11 @@ def hash_path(path: Path, key: str) -> str:
             if path.is_dir():
                 digest.update(str(file.relative_to(path)).encode() + b"\0")
             with file.open("rb") as stream:
-                digest.update(hashlib.file_digest(stream, "sha256").digest())
+                if path.is_dir() and file.suffix.lower() in _PHOTOS:
+                    head = stream.read(_PHOTO_HEAD)
+                    digest.update(b"%d" % file.stat().st_size + hashlib.sha256(head).digest())
+                else:
+                    digest.update(hashlib.file_digest(stream, "sha256").digest())
         if path.suffix.lower() == ".gltf":
             for content in external_buffers(path):
                 digest.update(hashlib.sha256(content).digest())

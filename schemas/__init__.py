@@ -1,6 +1,8 @@
 """Every topic of a run: which stage writes it, under which name, as which message."""
 
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 
@@ -24,7 +26,18 @@ from spinpipe.schemas.topics import Topic
 CLOUD = Topic("/ingest/cloud", PointCloud, foxglove.encode_tile, foxglove.decode_tile)
 TILES = record_topic("/ingest/tiles", TileIndex, pb.TileIndex)
 SCENE = record_topic("/ingest/scene", SceneFrame, pb.SceneFrame)
-CAMERAS = Topic("/ingest/cameras", PosesInFrame, foxglove.encode_cameras, foxglove.decode_cameras)
+CAMERAS = Topic(
+    "/ingest/cameras", FrameTransforms, foxglove.encode_cameras, foxglove.decode_cameras
+)
+CALIBRATIONS = Topic(
+    "/ingest/calibrations",
+    CameraCalibration,
+    foxglove.encode_calibration,
+    foxglove.decode_calibration,
+)
+TRAJECTORY = Topic(
+    "/ingest/trajectory", FrameTransforms, foxglove.encode_trajectory, foxglove.decode_trajectory
+)
 
 MODELS = record_topic("/model/objects", ObjectModel, pb.ObjectModel)
 

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+
 import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 
 from spinpipe.schemas.arrays import F32, F64, U8
-from spinpipe.schemas.records import Cameras, CloudTile, InstancePoses, ScoreTile, Upright
+from spinpipe.schemas.records import (
+    Calibration,
+    Cameras,
+    CloudTile,
+    InstancePoses,
+    ScoreTile,
+    Trajectory,
+    Upright,
+)
 
 _FLOAT32 = PackedElementField.NumericType.FLOAT32
 _UINT8 = PackedElementField.NumericType.UINT8
@@ -85,11 +97,8 @@ def decode_scores(data: bytes) -> ScoreTile:
 
 def encode_upright(upright: Upright) -> FrameTransform:
     """Upright transform -> transform of child frame ``local`` in parent frame ``world``."""
-    message = FrameTransform(parent_frame_id="world", child_frame_id="local")
-    x, y, z, w = upright.quaternion_xyzw
-    message.rotation.x, message.rotation.y, message.rotation.z, message.rotation.w = x, y, z, w
-    t = message.translation
-    t.x, t.y, t.z = upright.translation
+    message = FrameTransform()
+    _set_transform(message, "world", "local", upright.translation, upright.quaternion_xyzw)
     return message
 
 
@@ -100,29 +109,96 @@ def decode_upright(data: bytes) -> Upright:
     return Upright((q.x, q.y, q.z, q.w), (t.x, t.y, t.z))
 
 
-def encode_cameras(cameras: Cameras) -> PosesInFrame:
-    """Cameras -> poses in frame ``local``."""
-    return _poses_in_frame("local", cameras.positions, cameras.quaternions_xyzw)
+def encode_cameras(cameras: Cameras) -> FrameTransforms:
+    """Cameras -> a child frame of ``local`` each, called like its photo."""
+    message = FrameTransforms()
+    for name, place, turn in zip(
+        cameras.names, cameras.positions.tolist(), cameras.quaternions_xyzw.tolist(), strict=True
+    ):
+        _set_transform(message.transforms.add(), "local", name, place, turn)
+    return message
 
 
 def decode_cameras(data: bytes) -> Cameras:
-    """Poses -> cameras."""
-    return Cameras(*_poses(data))
+    """Frames -> cameras."""
+    transforms = FrameTransforms.FromString(data).transforms
+    return Cameras(*_places(transforms), tuple(t.child_frame_id for t in transforms))
+
+
+def encode_calibration(calibration: Calibration) -> CameraCalibration:
+    """Calibration -> camera calibration in the frame that is called like the photo."""
+    return CameraCalibration(
+        frame_id=calibration.camera,
+        width=calibration.width,
+        height=calibration.height,
+        distortion_model=calibration.distortion_model,
+        D=calibration.D,
+        K=calibration.K.ravel().tolist(),
+        R=np.eye(3).ravel().tolist(),
+        P=np.column_stack([calibration.K, np.zeros(3)]).ravel().tolist(),
+    )
+
+
+def decode_calibration(data: bytes) -> Calibration:
+    """Camera calibration -> calibration."""
+    message = CameraCalibration.FromString(data)
+    return Calibration(
+        camera=message.frame_id,
+        width=message.width,
+        height=message.height,
+        K=np.array(message.K).reshape(3, 3),
+        distortion_model=message.distortion_model,
+        D=tuple(message.D),
+    )
+
+
+def encode_trajectory(trajectory: Trajectory) -> FrameTransforms:
+    """Trajectory -> child frame ``lidar`` of ``local`` at the time of each sweep."""
+    message = FrameTransforms()
+    for time_ns, place, turn in zip(
+        trajectory.times_ns.tolist(),
+        trajectory.positions.tolist(),
+        trajectory.quaternions_xyzw.tolist(),
+        strict=True,
+    ):
+        transform = message.transforms.add()
+        transform.timestamp.FromNanoseconds(time_ns)
+        _set_transform(transform, "local", "lidar", place, turn)
+    return message
+
+
+def decode_trajectory(data: bytes) -> Trajectory:
+    """Frames -> trajectory."""
+    transforms = FrameTransforms.FromString(data).transforms
+    times = np.array([t.timestamp.ToNanoseconds() for t in transforms], np.int64)
+    return Trajectory(*_places(transforms), times)
+
+
+def _set_transform(
+    message: FrameTransform,
+    parent: str,
+    child: str,
+    translation: Sequence[float],
+    quaternion_xyzw: Sequence[float],
+) -> None:
+    message.parent_frame_id, message.child_frame_id = parent, child
+    r, t = message.rotation, message.translation
+    r.x, r.y, r.z, r.w = quaternion_xyzw
+    t.x, t.y, t.z = translation
+
+
+def _places(transforms: Iterable[FrameTransform]) -> tuple[F64, F64]:
+    """Positions (N, 3) and quaternions (N, 4)."""
+    found = [(t.translation, t.rotation) for t in transforms]
+    positions = [(p.x, p.y, p.z) for p, _ in found]
+    rotations = [(q.x, q.y, q.z, q.w) for _, q in found]
+    return np.array(positions).reshape(-1, 3), np.array(rotations).reshape(-1, 4)
 
 
 def encode_instances(instances: InstancePoses) -> PosesInFrame:
     """Accepted instances -> poses in frame ``world``."""
-    return _poses_in_frame("world", instances.positions, instances.quaternions_xyzw)
-
-
-def decode_instances(data: bytes) -> InstancePoses:
-    """Poses -> accepted instances."""
-    return InstancePoses(*_poses(data))
-
-
-def _poses_in_frame(frame: str, positions: F64, quaternions_xyzw: F64) -> PosesInFrame:
-    message = PosesInFrame(frame_id=frame)
-    for p, q in zip(positions.tolist(), quaternions_xyzw.tolist(), strict=True):
+    message = PosesInFrame(frame_id="world")
+    for p, q in zip(instances.positions.tolist(), instances.quaternions_xyzw.tolist(), strict=True):
         pose = message.poses.add()
         pose.position.x, pose.position.y, pose.position.z = p
         o = pose.orientation
@@ -130,10 +206,11 @@ def _poses_in_frame(frame: str, positions: F64, quaternions_xyzw: F64) -> PosesI
     return message
 
 
-def _poses(data: bytes) -> tuple[F64, F64]:
+def decode_instances(data: bytes) -> InstancePoses:
+    """Poses -> accepted instances."""
     poses = PosesInFrame.FromString(data).poses
     positions = [(p.position.x, p.position.y, p.position.z) for p in poses]
     rotations = [
         (p.orientation.x, p.orientation.y, p.orientation.z, p.orientation.w) for p in poses
     ]
-    return np.array(positions).reshape(-1, 3), np.array(rotations).reshape(-1, 4)
+    return InstancePoses(np.array(positions).reshape(-1, 3), np.array(rotations).reshape(-1, 4))

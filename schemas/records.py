@@ -67,18 +67,8 @@ class SceneFrame:
     """Typical distance of neighbouring points; 0 where they are too few."""
     step_m: float = 0.0
     """Grid that the coordinates are written on, along the coarsest axis; 0 without one."""
-
-
-@dataclass(frozen=True)
-class Lens:
-    """How a camera maps directions to pixels, in COLMAP's words."""
-
-    model: str
-    """COLMAP's name of the camera model, such as ``OPENCV``."""
-    width: int
-    height: int
-    params: tuple[float, ...]
-    """Of that model, in COLMAP's order, pixels."""
+    photos: str = ""
+    """Folder of the photos that the cameras are named after; empty if it is not known."""
 
 
 @dataclass(frozen=True)
@@ -89,10 +79,36 @@ class Cameras:
     """(C, 3) metres, local frame."""
     quaternions_xyzw: F64
     """(C, 4) rotation camera -> local; a camera looks along its +z, its -y is up."""
-    names: tuple[str, ...] = ()
-    """(C,) of the photos; empty where they have none."""
-    lenses: tuple[Lens, ...] = ()
-    """(C,) of the photos; empty where they are not known."""
+    names: tuple[str, ...]
+    """(C,) of the photos: files below the folder of photos where the format names them."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How one camera maps directions to pixels, in the words of OpenCV and ROS."""
+
+    camera: str
+    """Name of its photo."""
+    width: int
+    height: int
+    K: F64
+    """(3, 3) pixels, the middle of the first pixel at (0, 0); all zero where it has none."""
+    distortion_model: str
+    """``plumb_bob``, ``rational_polynomial`` or ``kannala_brandt``; else COLMAP's name of it."""
+    D: tuple[float, ...]
+    """Parameters of that model, in its order."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Where a lidar was at each of its sweeps."""
+
+    positions: F64
+    """(S, 3) metres, local frame."""
+    quaternions_xyzw: F64
+    """(S, 4) rotation sensor -> local."""
+    times_ns: I64
+    """(S,) of the sweeps, since the epoch of the log."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ class Array(_message.Message):
     def __init__(self, dtype: _Optional[str] = ..., shape: _Optional[_Iterable[int]] = ..., data: _Optional[bytes] = ...) -> None: ...
 
 class SceneFrame(_message.Message):
-    __slots__ = ("origin", "scale", "points", "dropped", "coloured", "source", "strays", "duplicates", "kind", "crs", "up", "up_reason", "spacing_m", "step_m")
+    __slots__ = ("origin", "scale", "points", "dropped", "coloured", "source", "strays", "duplicates", "kind", "crs", "up", "up_reason", "spacing_m", "step_m", "photos")
     ORIGIN_FIELD_NUMBER: _ClassVar[int]
     SCALE_FIELD_NUMBER: _ClassVar[int]
     POINTS_FIELD_NUMBER: _ClassVar[int]
@@ -32,6 +32,7 @@ class SceneFrame(_message.Message):
     UP_REASON_FIELD_NUMBER: _ClassVar[int]
     SPACING_M_FIELD_NUMBER: _ClassVar[int]
     STEP_M_FIELD_NUMBER: _ClassVar[int]
+    PHOTOS_FIELD_NUMBER: _ClassVar[int]
     origin: _containers.RepeatedScalarFieldContainer[float]
     scale: _containers.RepeatedScalarFieldContainer[float]
     points: int
@@ -46,7 +47,8 @@ class SceneFrame(_message.Message):
     up_reason: str
     spacing_m: float
     step_m: float
-    def __init__(self, origin: _Optional[_Iterable[float]] = ..., scale: _Optional[_Iterable[float]] = ..., points: _Optional[int] = ..., dropped: _Optional[int] = ..., coloured: bool = ..., source: _Optional[str] = ..., strays: _Optional[int] = ..., duplicates: _Optional[int] = ..., kind: _Optional[str] = ..., crs: _Optional[str] = ..., up: _Optional[_Iterable[float]] = ..., up_reason: _Optional[str] = ..., spacing_m: _Optional[float] = ..., step_m: _Optional[float] = ...) -> None: ...
+    photos: str
+    def __init__(self, origin: _Optional[_Iterable[float]] = ..., scale: _Optional[_Iterable[float]] = ..., points: _Optional[int] = ..., dropped: _Optional[int] = ..., coloured: bool = ..., source: _Optional[str] = ..., strays: _Optional[int] = ..., duplicates: _Optional[int] = ..., kind: _Optional[str] = ..., crs: _Optional[str] = ..., up: _Optional[_Iterable[float]] = ..., up_reason: _Optional[str] = ..., spacing_m: _Optional[float] = ..., step_m: _Optional[float] = ..., photos: _Optional[str] = ...) -> None: ...
 
 class TileIndex(_message.Message):
     __slots__ = ("low", "high", "counts")

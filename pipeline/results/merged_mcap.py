@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
@@ -26,9 +27,9 @@ from spinpipe.pipeline.drawing.closeup import Closeup, closeups
 from spinpipe.pipeline.drawing.preview import preview
 from spinpipe.pipeline.mcap_file import EPOCH_NS
 from spinpipe.pipeline.results.instances import ReadTopic
-from spinpipe.schemas import CAMERAS, CLOUD, CLUSTERS, HITS, TILES, UPRIGHT
+from spinpipe.schemas import CALIBRATIONS, CAMERAS, CLOUD, CLUSTERS, HITS, TILES, UPRIGHT
 from spinpipe.schemas.arrays import F32
-from spinpipe.schemas.foxglove_codec import encode_cameras, point_cloud
+from spinpipe.schemas.foxglove_codec import encode_calibration, encode_cameras, point_cloud
 from spinpipe.schemas.records import Detection
 from spinpipe.stages import STAGES
 from spinpipe.stages.geometry.frames import heading_quaternion, to_world
@@ -61,6 +62,8 @@ def write_mcap(read: ReadTopic, detections: Sequence[Detection], path: Path) -> 
         story.tell("/tf", _transform("local", upright.quaternion_xyzw, upright.translation))
         for cameras in read(CAMERAS):
             story.tell("/cameras", encode_cameras(cameras))
+        for calibration in read(CALIBRATIONS):
+            story.tell("/calibrations", encode_calibration(calibration))
         story.at(STAGE_S * number["scan"])
         hits = [group.points for group in read(HITS)] or [np.empty((0, 3), np.float32)]
         story.tell("/hits", _plain_cloud("world", np.concatenate(hits), palette.HIT))
@@ -90,9 +93,10 @@ class _Story:
     def tell(self, topic: str, message: Any) -> None:
         """Write one message, stamped with the moment."""
         stamp = Timestamp(seconds=self._now // SECOND_NS)
-        if isinstance(message, SceneUpdate):
-            for entity in message.entities:
-                entity.timestamp.CopyFrom(stamp)
+        if isinstance(message, SceneUpdate | FrameTransforms):
+            parts = message.entities if isinstance(message, SceneUpdate) else message.transforms
+            for part in parts:
+                part.timestamp.CopyFrom(stamp)
         else:
             message.timestamp.CopyFrom(stamp)
         self._writer.write_message(

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from pydantic import Field, PositiveFloat
 
-from spinpipe.schemas import CAMERAS, CLOUD, SCENE, TILES
+from spinpipe.schemas import CALIBRATIONS, CAMERAS, CLOUD, SCENE, TILES
 from spinpipe.schemas.arrays import F32, F64
 from spinpipe.schemas.records import CloudTile, SceneFrame, TileIndex
 from spinpipe.stages.ingest.open_scene import open_scene
@@ -35,7 +35,7 @@ class Ingest:
     name = "ingest"
     version = 3
     inputs = ()
-    outputs = (CLOUD, TILES, SCENE, CAMERAS)
+    outputs = (CLOUD, TILES, SCENE, CAMERAS, CALIBRATIONS)
 
     class Config(Section):
         """Which scene, and how it is cut into tiles."""
@@ -47,6 +47,11 @@ class Ingest:
             default=None,
             description="metres per unit of the scene, or [x, y, z] where z has another; "
             "none: as the file says, else 1",
+        )
+        photos: InputPath | None = Field(
+            default=None,
+            description="folder of the photos that the cameras are named after, to be shown; none: "
+            "where COLMAP leaves them, beside the model",
         )
         tile_points: int = Field(
             default=262_144, ge=1024, le=1_048_576, description="most points of a tile"
@@ -87,6 +92,7 @@ class Ingest:
             up_reason=source.about.known_up_reason,
             spacing_m=spacing_m,
             step_m=float(max(np.array(found.steps) * scale)),
+            photos=str(config.photos or source.about.photos or ""),
         )
         index = _write_tiles(source, frame, found, ctx)
         points = int(index.counts.sum())
@@ -99,6 +105,8 @@ class Ingest:
         if cameras is not None:
             local = (cameras.positions - np.array(frame.origin)) * np.array(frame.scale)
             ctx.write(CAMERAS, replace(cameras, positions=local))
+        for calibration in source.about.calibrations:
+            ctx.write(CALIBRATIONS, calibration)
 
 
 def _chunk_points(memory: int) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from spinpipe.stages.ingest.file_kind import file_kind
-from spinpipe.stages.ingest.read_colmap import ColmapSource, read_cameras
+from spinpipe.stages.ingest.read_colmap import ColmapSource, with_cameras
 from spinpipe.stages.ingest.read_las import LasSource
 from spinpipe.stages.ingest.read_mesh import MESHES, sampled_mesh
 from spinpipe.stages.ingest.read_pcd import PcdSource
@@ -61,10 +61,8 @@ def _open_folder(folder: Path) -> SceneSource:
     for place in places:
         fused = place / "fused.ply"
         if fused.is_file():
-            cameras = next(
-                (found for model in (folder, place / "sparse", place / "sparse" / "0")
-                 if (found := read_cameras(model)) is not None),
-                None,
-            )  # fmt: skip
-            return PlySource(fused, cameras)
+            source = PlySource(fused)
+            models = (folder, place / "sparse", place / "sparse" / "0")
+            source.about = with_cameras(source.about, *models)
+            return source
     return ColmapSource(folder)

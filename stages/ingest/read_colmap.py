@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,21 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from spinpipe.schemas.records import Cameras, Lens
+from spinpipe.schemas.records import Calibration, Cameras
+from spinpipe.stages.ingest.lens import MODELS, calibration
 from spinpipe.stages.ingest.packed_points import xyz_of
 from spinpipe.stages.ingest.ply_lists import ListRows
 from spinpipe.stages.ingest.read_sfm import camera_poses
 from spinpipe.stages.ingest.scene_source import About, Chunk
 from spinpipe.stages.stage import StageError
-
-_LENSES = {
-    0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5),
-    4: ("OPENCV", 8), 5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12), 7: ("FOV", 5),
-    8: ("SIMPLE_RADIAL_FISHEYE", 4), 9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12),
-    11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16), 12: ("SIMPLE_DIVISION", 4), 13: ("DIVISION", 5),
-    14: ("SIMPLE_FISHEYE", 3), 15: ("FISHEYE", 4), 16: ("EUCM", 6), 17: ("EQUIRECTANGULAR", 2),
-}  # fmt: skip
-"""Name and number of parameters of each camera model [COLMAP 4.2, sensor/models.h]."""
 
 _POINT = [(None, "<u8"), *[(None, "<f8")] * 3, *[(None, "<u1")] * 3, (None, "<f8"), ("<u8", "<u8")]
 """A point of points3D.bin: id, x, y, z, colour, error, and pairs of 32-bit numbers: where seen."""
@@ -62,12 +55,11 @@ class ColmapSource:
         self.points = self._count()
         if not self.points:
             raise StageError(f"{folder}: the COLMAP model has no points; triangulate it first")
-        cameras = read_cameras(folder)
-        self.about = About(
-            kind=f"COLMAP model, {'binary' if self._binary else 'text'}",
-            cameras=cameras,
-            notes=() if cameras else ("points without cameras: no images and cameras files",),
-        )
+        about = About(kind=f"COLMAP model, {'binary' if self._binary else 'text'}")
+        self.about = with_cameras(about, folder)
+        if self.about.cameras is None:
+            note = "points without cameras: no images and cameras files"
+            self.about = replace(self.about, notes=(note,))
 
     def chunks(self, points: int) -> Iterator[Chunk]:
         """Points in the file's order, at most ``points`` at a time."""
@@ -117,7 +109,18 @@ class ColmapSource:
             yield np.array(rows, dtype)
 
 
-def read_cameras(folder: Path) -> Cameras | None:
+def with_cameras(about: About, *folders: Path) -> About:
+    """Add the photos of the first of the folders that is a model with any."""
+    for folder in folders:
+        found = _read_cameras(folder)
+        if found is not None:
+            cameras, calibrations = found
+            photos = _photo_folder(folder, cameras.names[0])
+            return replace(about, cameras=cameras, calibrations=calibrations, photos=photos)
+    return about
+
+
+def _read_cameras(folder: Path) -> tuple[Cameras, tuple[Calibration, ...]] | None:
     """The photos of a model with their poses in the scene and lenses; None without the files."""
     pairs = [(folder / f"images{suffix}", folder / f"cameras{suffix}") for suffix in _SUFFIXES]
     pair = next((p for p in pairs if all(file.is_file() for file in p)), None)
@@ -128,6 +131,10 @@ def read_cameras(folder: Path) -> Cameras | None:
     try:
         known = (_binary_lenses if binary else _text_lenses)(lenses.read_bytes())
         found = sorted((_binary_images if binary else _text_images)(images.read_bytes()))
+        missing = next((lens for *_, lens, _ in found if lens not in known), None)
+        if missing is not None:
+            raise _damaged(lenses, f"camera {missing} is missing")
+        calibrations = tuple(calibration(name, *known[lens]) for *_, lens, name in found)
     except (ValueError, KeyError, IndexError, struct.error) as error:
         raise _damaged(images, f"{type(error).__name__}: {error}") from None
     if not found:
@@ -137,15 +144,13 @@ def read_cameras(folder: Path) -> Cameras | None:
         raise _damaged(images, "a rotation is no rotation")
     rotations = Rotation.from_quat(wxyz[:, [1, 2, 3, 0]]).as_matrix()
     positions, quaternions = camera_poses(rotations, np.array([t for _, _, t, _, _ in found]))
-    missing = next((lens for *_, lens, _ in found if lens not in known), None)
-    if missing is not None:
-        raise _damaged(lenses, f"camera {missing} is missing")
-    return Cameras(
-        positions,
-        quaternions,
-        tuple(name for *_, name in found),
-        tuple(known[lens] for *_, lens, _ in found),
-    )
+    return Cameras(positions, quaternions, tuple(name for *_, name in found)), calibrations
+
+
+def _photo_folder(model: Path, name: str) -> Path | None:
+    """Where COLMAP has the photos of a model: ``images`` beside it, or beside its ``sparse``."""
+    places = (folder / "images" for folder in (model, model.parent, model.parent.parent))
+    return next((folder for folder in places if (folder / name).is_file()), None)
 
 
 _Image = tuple[int, tuple[float, ...], tuple[float, ...], int, str]
@@ -177,22 +182,26 @@ def _text_images(data: bytes) -> list[_Image]:
     return images
 
 
-def _binary_lenses(data: bytes) -> dict[int, Lens]:
+_Lens = tuple[str, tuple[int, int], tuple[float, ...]]
+"""Camera model, width and height, parameters."""
+
+
+def _binary_lenses(data: bytes) -> dict[int, _Lens]:
     (count,) = struct.unpack_from("<Q", data)
     at = 8
-    lenses: dict[int, Lens] = {}
+    lenses: dict[int, _Lens] = {}
     for _ in range(_possible(count, len(data), 24)):
-        key, model, width, height = struct.unpack_from("<IiQQ", data, at)
-        name, length = _LENSES[model]
-        lenses[key] = Lens(name, width, height, struct.unpack_from(f"<{length}d", data, at + 24))
+        key, model, *size = struct.unpack_from("<IiQQ", data, at)
+        name, length = MODELS[model]
+        lenses[key] = name, (size[0], size[1]), struct.unpack_from(f"<{length}d", data, at + 24)
         at += 24 + 8 * length
     return lenses
 
 
-def _text_lenses(data: bytes) -> dict[int, Lens]:
+def _text_lenses(data: bytes) -> dict[int, _Lens]:
     rows = [line.split() for line in data.decode("utf-8", "replace").splitlines()]
     return {
-        int(key): Lens(name, int(width), int(height), tuple(map(float, params)))
+        int(key): (name, (int(width), int(height)), tuple(map(float, params)))
         for key, name, width, height, *params in (r for r in rows if r and r[0][0] != "#")
     }
 

@@ -12,7 +12,6 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.schemas.records import Cameras
 from spinpipe.stages.ingest.colour_range import full_colour, to_8_bit
 from spinpipe.stages.ingest.coordinates import Coordinates, beside, from_text
 from spinpipe.stages.ingest.ply_header import PlyElement, PlyHeader, parse_header
@@ -54,7 +53,7 @@ class PlySource:
         When the header is broken, x, y or z are missing, or the file is cut short.
     """
 
-    def __init__(self, path: Path, cameras: Cameras | None = None) -> None:
+    def __init__(self, path: Path) -> None:
         self._path = path
         self._header = read_header(path)
         names = [element.name.lower() for element in self._header.elements]
@@ -86,7 +85,6 @@ class PlySource:
             coordinates=beside(path)
             or from_text(self._header.comments, "a comment in the PLY header")
             or Coordinates(),
-            cameras=cameras,
         )
         if not self._header.text and not self._has_lists():
             self._check_size()

@@ -82,9 +82,9 @@ def _bundler(path: Path) -> MemorySource:
         rgb[point] = [int(word) for word in next(rows)]
         next(rows)  # where it was seen
     used = poses[:, 0, 0] > 0  # a focal length of 0: the photo was not placed
-    about = About(
-        kind="Bundler model", cameras=_cameras(_FLIP @ poses[used, 1:4], poses[used, 4] @ _FLIP)
-    )
+    names = tuple(f"camera {camera}" for camera in np.flatnonzero(used))
+    cameras = _cameras(_FLIP @ poses[used, 1:4], poses[used, 4] @ _FLIP, names)
+    about = About(kind="Bundler model", cameras=cameras)
     return MemorySource(about, xyz, rgb)
 
 
@@ -117,10 +117,11 @@ def _opensfm(path: Path) -> MemorySource:
     points = list(model.get("points", {}).values())
     xyz = np.array([point["coordinates"] for point in points], np.float64).reshape(-1, 3)
     rgb = np.array([point.get("color", (255, 255, 255)) for point in points]).reshape(-1, 3)
-    shots = [shot for shot in model.get("shots", {}).values() if "rotation" in shot]
+    named = {name: shot for name, shot in model.get("shots", {}).items() if "rotation" in shot}
+    shots = named.values()
     turns = np.array([shot["rotation"] for shot in shots], np.float64).reshape(-1, 3)
     moves = np.array([shot["translation"] for shot in shots], np.float64).reshape(-1, 3)
-    cameras = _cameras(Rotation.from_rotvec(turns).as_matrix(), moves)
+    cameras = _cameras(Rotation.from_rotvec(turns).as_matrix(), moves, tuple(named))
     notes = ()
     if isinstance(document, list) and len(document) > 1:
         notes = (f"the first of {len(document)} reconstructions in the file",)
@@ -135,8 +136,8 @@ def _opensfm(path: Path) -> MemorySource:
     return MemorySource(about, xyz, np.clip(rgb, 0, 255).astype(np.uint8))
 
 
-def _cameras(rotations: F64, translations: F64) -> Cameras | None:
-    return Cameras(*camera_poses(rotations, translations)) if len(rotations) else None
+def _cameras(rotations: F64, translations: F64, names: tuple[str, ...]) -> Cameras | None:
+    return Cameras(*camera_poses(rotations, translations), names) if names else None
 
 
 def camera_poses(rotations: F64, translations: F64) -> tuple[F64, F64]:

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
 from spinpipe.schemas.arrays import F64, U8
-from spinpipe.schemas.records import Cameras, Vector
+from spinpipe.schemas.records import Calibration, Cameras, Vector
 from spinpipe.stages.ingest.coordinates import Coordinates
 
 Chunk = tuple[F64, U8]
@@ -34,6 +35,10 @@ class About:
     up_reason: str = ""
     cameras: Cameras | None = None
     """In the scene frame."""
+    calibrations: tuple[Calibration, ...] = ()
+    """Of the cameras, where they are known."""
+    photos: Path | None = None
+    """Folder of the photos, where it is known."""
     notes: tuple[str, ...] = ()
     """What a user should know about how the file was understood."""
 

@@ -1,6 +1,7 @@
 """The ground stage on scenes whose up is known: made ones, turned ones, real ones."""
 
 import contextlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -244,7 +245,7 @@ def nadir_cameras(height):
     x, y = np.meshgrid(np.linspace(0, 30, 4), np.linspace(0, 30, 4))
     positions = np.c_[x.ravel(), y.ravel(), np.full(16, height)]
     down = Rotation.from_euler("x", 180 if height > 0 else 0, degrees=True).as_quat()
-    return Cameras(positions, np.tile(down, (16, 1)))
+    return Cameras(positions, np.tile(down, (16, 1)), tuple(map(str, range(16))))
 
 
 @pytest.mark.parametrize("side", [1, -1])
@@ -270,8 +271,9 @@ def test_a_wall_alone_before_level_cameras_is_undecided():
     level = Rotation.from_matrix([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
     turned = Rotation.from_euler("z", headings[:, None], degrees=True) * level
     positions = np.c_[np.linspace(2, 18, 9), np.full(9, -10), np.full(9, 1.7)]
+    names = tuple(map(str, range(len(positions))))
     with pytest.raises(StageError, match=r"0\.0000, 1\.0000\] and.*; set ground\.up"):
-        ground_of(np.concatenate([wall, *boards]), Cameras(positions, turned.as_quat()))
+        ground_of(np.concatenate([wall, *boards]), Cameras(positions, turned.as_quat(), names))
 
 
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, 0.05, 2), (0, 0, -1)])
@@ -407,7 +409,7 @@ def read_real(path):
     origin = np.round(points.mean(axis=0))
     cameras = source.about.cameras
     if cameras is not None:
-        cameras = Cameras(cameras.positions - origin, cameras.quaternions_xyzw)
+        cameras = replace(cameras, positions=cameras.positions - origin)
     return points - origin, cameras
 
 

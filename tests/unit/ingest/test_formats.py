@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from spinpipe.schemas.records import Calibration
+from spinpipe.stages.ingest.lens import MODELS, calibration
 from spinpipe.stages.ingest.model_file import open_model
 from spinpipe.stages.ingest.open_scene import open_scene
 from spinpipe.stages.ingest.read_mesh import read_mesh
@@ -278,9 +280,62 @@ def test_colmap_agrees_with_colmap(shared_data: Path, tmp_path: Path) -> None:
                 np.sum(cameras.quaternions_xyzw * [p.rotation.quat for p in poses], axis=1)
             )
             np.testing.assert_allclose(turned, 1, atol=1e-12)
-            for lens, image in zip(cameras.lenses, images, strict=True):
-                assert (lens.model, lens.width) == (image.camera.model.name, image.camera.width)
-                np.testing.assert_allclose(lens.params, image.camera.params)
+            for lens, image in zip(source.about.calibrations, images, strict=True):
+                assert (lens.camera, lens.width) == (image.name, image.camera.width)
+                np.testing.assert_allclose(
+                    lens.K + [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]],
+                    image.camera.calibration_matrix(),
+                )
+
+
+@pytest.mark.parametrize(("key", "model"), MODELS.items())
+def test_every_lens_of_colmap_projects_as_in_colmap(key: int, model: tuple[str, int]) -> None:
+    import pycolmap
+
+    name, count = model
+    size = (640, 480)
+    camera: Any = pycolmap.Camera.create_from_model_name(1, name, 500.0, *size)
+    assert (int(camera.model), len(camera.params)) == (key, count)
+    focal = len(camera.focal_length_idxs())
+    params = np.full(count, 0.01)
+    params[: focal + 2] = [500, 510, 320, 240][2 - focal :]
+    if focal:
+        camera.params = params
+    ours = calibration("a.jpg", name, size, params.tolist())
+    if not focal:
+        assert not ours.K.any()
+        return
+    np.testing.assert_allclose(
+        ours.K + [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]], camera.calibration_matrix()
+    )
+    if ours.distortion_model == name:  # none of OpenCV's: kept as it is
+        assert tuple(params[focal + 2 :]) == ours.D
+        return
+    ray = np.array([0.2, -0.1, 1.0])
+    seen = camera.img_from_cam(ray)
+    np.testing.assert_allclose(_projected(ours, ray) + 0.5, seen, atol=1e-6)
+
+
+def _projected(camera: Calibration, ray: np.ndarray) -> np.ndarray:
+    """Pixel of a ray [OpenCV 4.11: calib3d, fisheye]; as COLMAP sees it for models of its own."""
+    u, v = ray[:2] / ray[2]
+    r2 = u * u + v * v
+    match camera.distortion_model:
+        case "plumb_bob" | "rational_polynomial":
+            k1, k2, p1, p2, k3, *more = camera.D
+            k4, k5, k6 = more or (0, 0, 0)
+            radial = (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (
+                1 + k4 * r2 + k5 * r2**2 + k6 * r2**3
+            )
+            x = u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u)
+            y = v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v
+        case "kannala_brandt":
+            theta = np.arctan(np.sqrt(r2))
+            powers = theta ** np.arange(2, 9, 2)
+            x, y = np.array([u, v]) * theta * (1 + powers @ camera.D) / np.sqrt(r2)
+        case _:
+            raise AssertionError
+    return (camera.K @ [x, y, 1])[:2]
 
 
 def test_a_colmap_model_that_hangs_colmap(shared_cases: Path) -> None:

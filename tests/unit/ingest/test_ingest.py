@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -21,8 +22,9 @@ from spinpipe.pipeline.engine import LocalEngine
 from spinpipe.pipeline.mcap_file import StageFileWriter
 from spinpipe.pipeline.progress import stage_progress
 from spinpipe.pipeline.run_folder import RunFolder
-from spinpipe.schemas import CAMERAS, CLOUD, SCENE, TILES
+from spinpipe.schemas import CALIBRATIONS, CAMERAS, CLOUD, SCENE, TILES
 from spinpipe.stages.ingest.ingest import Ingest
+from spinpipe.stages.ingest.open_scene import open_scene
 from spinpipe.stages.stage import StageError
 
 
@@ -179,12 +181,28 @@ def test_colmap_cameras_come_along(tmp_path: Path, shared_data: Path) -> None:
     scene = shared_data / "brighton" / "colmap_sparse"
     read, _ = ingest(tmp_path / "run", scene, scale=2.0)
     (cameras,), (frame,) = read(CAMERAS), read(SCENE)
+    assert [c.camera for c in read(CALIBRATIONS)] == list(cameras.names)
+    assert cameras.names[0].endswith(".JPG")
+    assert frame.photos == ""
     assert frame.points + frame.duplicates == 6847
     assert cameras.positions.shape == (18, 3)
     assert cameras.quaternions_xyzw.shape == (18, 4)
     # 46 m above the ground at height 0
     heights = cameras.positions[:, 2] / 2 + frame.origin[2]
     np.testing.assert_allclose(heights, 46, atol=3)
+
+
+def test_photos_are_found_beside_the_model(tmp_path: Path, shared_data: Path) -> None:
+    sparse = tmp_path / "sparse" / "0"
+    shutil.copytree(shared_data / "brighton" / "colmap_sparse", sparse)
+    cameras = open_scene(sparse).about.cameras
+    assert cameras is not None
+    (tmp_path / "images").mkdir()
+    assert open_scene(sparse).about.photos is None
+    (tmp_path / "images" / cameras.names[0]).touch()
+    assert open_scene(sparse).about.photos == tmp_path / "images"
+    read, _ = ingest(tmp_path / "run", sparse, photos=tmp_path)
+    assert read(SCENE)[0].photos == str(tmp_path), "what is stated goes before"
 
 
 @pytest.mark.parametrize("name", ["photo-west/scene.ply", "brighton/odm_model.laz"])

@@ -27,6 +27,7 @@ from spinpipe.pipeline.drawing.recording import (
 )
 from spinpipe.pipeline.drawing.threshold import Truth
 from spinpipe.schemas import (
+    CALIBRATIONS,
     CAMERAS,
     CLOUD,
     CLUSTERS,
@@ -172,7 +173,8 @@ def make_run() -> Messages:
                 )
             ],
             CLOUD: clouds,
-            CAMERAS: [Cameras(np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)))],
+            CAMERAS: [Cameras(np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)), ("a", "b"))],
+            CALIBRATIONS: [],
             MODELS: [make_model("saloon", mesh=True), make_model("van", mesh=False)],
             PLANE: [Plane((0, 0, 1), 0.0, 900, 1000, 0.03, 0.1, "cameras", (Evidence("c", 1.0),))],
             SAMPLING: [Sampling(0.1, 0.02)],

@@ -246,6 +246,19 @@ def test_a_folder_is_known_by_names_and_contents(tmp_path: Path) -> None:
     assert hash_path(folder, "ingest.scene") != before
 
 
+def test_of_photos_in_a_folder_the_head_and_the_size_count(tmp_path: Path) -> None:
+    photo = tmp_path / "a.JPG"
+    photo.write_bytes(b"exif" + bytes(1 << 18) + b"pixels")
+    before = hash_path(tmp_path, "ingest.photos")
+    photo.write_bytes(b"exif" + bytes(1 << 18) + b"PIXELS")
+    assert hash_path(tmp_path, "ingest.photos") == before
+    alone = hash_path(photo, "ingest.scene")
+    for content in (b"EXIF" + bytes(1 << 18) + b"pixels", b"exif" + bytes(1 << 18) + b"pixel"):
+        photo.write_bytes(content)
+        assert hash_path(tmp_path, "ingest.photos") != before
+        assert hash_path(photo, "ingest.scene") != alone
+
+
 def test_a_gltf_is_known_by_its_buffers_too(tmp_path: Path) -> None:
     for name in ("one", "two"):
         (tmp_path / name).mkdir()

@@ -2,14 +2,32 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from spinpipe.schemas import CAMERAS, CLOUD, INSTANCES, SCORES, UPRIGHT
-from spinpipe.schemas.records import Cameras, CloudTile, InstancePoses, ScoreTile, Upright
+from spinpipe.schemas import (
+    CALIBRATIONS,
+    CAMERAS,
+    CLOUD,
+    INSTANCES,
+    SCORES,
+    TRAJECTORY,
+    UPRIGHT,
+)
+from spinpipe.schemas.records import (
+    Calibration,
+    Cameras,
+    CloudTile,
+    InstancePoses,
+    ScoreTile,
+    Trajectory,
+    Upright,
+)
 
 
 def points(count: int, seed: int = 0) -> np.ndarray:
@@ -103,13 +121,33 @@ def test_poses_come_back_also_when_there_are_none() -> None:
     rng = np.random.default_rng(3)
     for count in (0, 1, 7):
         positions, quaternions = rng.normal(size=(count, 3)), rng.normal(size=(count, 4))
+        names = tuple(f"photos/{i}.jpg" for i in range(count))
         cameras = CAMERAS.decode(
-            CAMERAS.encode(Cameras(positions, quaternions)).SerializeToString()
+            CAMERAS.encode(Cameras(positions, quaternions, names)).SerializeToString()
         )
         np.testing.assert_array_equal(cameras.positions, positions)
         np.testing.assert_array_equal(cameras.quaternions_xyzw, quaternions)
+        assert cameras.names == names
+        times = rng.integers(0, 2**62, count)
+        path = TRAJECTORY.decode(
+            TRAJECTORY.encode(Trajectory(positions, quaternions, times)).SerializeToString()
+        )
+        np.testing.assert_array_equal(path.positions, positions)
+        np.testing.assert_array_equal(path.quaternions_xyzw, quaternions)
+        np.testing.assert_array_equal(path.times_ns, times)
         poses = INSTANCES.decode(
             INSTANCES.encode(InstancePoses(positions, quaternions)).SerializeToString()
         )
         np.testing.assert_array_equal(poses.positions, positions)
         np.testing.assert_array_equal(poses.quaternions_xyzw, quaternions)
+
+
+def test_a_calibration_comes_back_and_is_complete() -> None:
+    K = np.array([[800.0, 0, 319.5], [0, 810.0, 239.5], [0, 0, 1]])
+    calibration = Calibration("a.jpg", 640, 480, K, "plumb_bob", (0.1, 0.0, 0.0, 0.0, 0.0))
+    message: Any = CALIBRATIONS.encode(calibration)
+    back = CALIBRATIONS.decode(message.SerializeToString())
+    np.testing.assert_array_equal(back.K, K)
+    assert (back.camera, back.width, back.height) == ("a.jpg", 640, 480)
+    assert (back.distortion_model, back.D) == (calibration.distortion_model, calibration.D)
+    assert (len(message.K), len(message.R), len(message.P)) == (9, 9, 12)
