@@ -8,7 +8,7 @@ import rerun as rr
 from spinpipe.pipeline.drawing import palette
 from spinpipe.pipeline.drawing.drawing import CANDIDATE, LOCAL, WORLD, Reader, at_stage, note, put
 from spinpipe.pipeline.drawing.preview import preview
-from spinpipe.schemas import CAMERAS, CLOUD, SCENE, TILES
+from spinpipe.schemas import CAMERAS, CLOUD, SCENE, TILES, TRAJECTORY
 from spinpipe.schemas.arrays import F32
 from spinpipe.schemas.records import Cameras, SceneFrame, TileIndex
 
@@ -23,6 +23,11 @@ def draw(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
     _draw_cloud(read, rec, preview_points, scene, tiles)
     for shown in cameras:
         _draw_cameras(rec, shown, tiles)
+    for path in read(TRAJECTORY):
+        line = rr.LineStrips3D([path.positions], colors=palette.MARK, radii=-2.0)
+        put(rec, "ingest/trajectory", line, LOCAL, static=True)
+        ends = rr.Points3D(path.positions, colors=palette.MARK, radii=-3.0)
+        put(rec, "ingest/trajectory/sweeps", ends, LOCAL, static=True)
     note(rec, _summary(scene, tiles, sum(len(c.positions) for c in cameras)))
 
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 from scipy.spatial.transform import Rotation
 
-from spinpipe.schemas import CAMERAS, CLOUD, PLANE, SAMPLING, SCENE, TILES, UPRIGHT
-from spinpipe.schemas.records import Evidence, Plane, Sampling, Upright
+from spinpipe.schemas import CAMERAS, CLOUD, PLANE, SAMPLING, SCENE, TILES, TRAJECTORY, UPRIGHT
+from spinpipe.schemas.records import Evidence, Plane, Sampling, Trajectory, Upright
 from spinpipe.stages.geometry.sampling import measure_sampling
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.ground.area_sample import AreaSample, sample_by_area
@@ -21,7 +21,13 @@ from spinpipe.stages.ground.patches import flat_patches
 from spinpipe.stages.ground.plane import is_collinear, reliable_local_planes
 from spinpipe.stages.ground.sampled_squares import points_of_some_squares
 from spinpipe.stages.ground.surfaces import SIGMAS, Surfaces, scene_surfaces
-from spinpipe.stages.ground.upright import Hypothesis, best_rival, rank, up_quaternion
+from spinpipe.stages.ground.upright import (
+    SAME_DIRECTION_DEG,
+    Hypothesis,
+    best_rival,
+    rank,
+    up_quaternion,
+)
 from spinpipe.stages.ground.vertical import Vertical, Witnesses
 from spinpipe.stages.stage import Context, Section, StageError
 
@@ -37,7 +43,7 @@ class Ground:
 
     name = "ground"
     version = 4
-    inputs = (CLOUD, TILES, SCENE, CAMERAS)
+    inputs = (CLOUD, TILES, SCENE, CAMERAS, TRAJECTORY)
     outputs = (PLANE, UPRIGHT, SAMPLING)
 
     class Config(Section):
@@ -142,6 +148,13 @@ def _estimate(ctx: Context[Ground.Config], scene: _Scene) -> Plane:
     if len(scene.surfaces):
         verticals = Witnesses.of(scene.surfaces).verticals(also)
         hypotheses = rank(scene.surface, scene.surfaces, verticals, cameras)
+    lidar = next((_lidar_up(path) for path in ctx.read(TRAJECTORY)), None)
+    if lidar is not None:
+        decided = _is_clear(hypotheses, ctx.config.min_margin)
+        if decided and hypotheses[0].up @ lidar < np.cos(np.radians(SAME_DIRECTION_DEG)):
+            raise _undecided(lidar, hypotheses[0].up)
+        if not decided:
+            return _along(scene, lidar, "lidar")
     if not hypotheses:
         raise StageError(
             "ground: cannot tell which way is up: the scene has no level surface;"
@@ -151,7 +164,7 @@ def _estimate(ctx: Context[Ground.Config], scene: _Scene) -> Plane:
     if vertical is not None and best.evidence["cameras level"] < 0:
         # The best plane is a wall to the cameras: the scene has no ground, or too little of it.
         raise _undecided(vertical, best.up)
-    if best.score < ctx.config.min_margin * rival.score:
+    if not _is_clear(hypotheses, ctx.config.min_margin):
         raise _undecided(best.up, rival.up)
     by_points = best.weight("points") / rival.weight("points")
     by_cameras = best.weight("cameras") / rival.weight("cameras")
@@ -162,6 +175,16 @@ def _estimate(ctx: Context[Ground.Config], scene: _Scene) -> Plane:
         "cameras" if by_cameras > by_points else "points",
         {**best.evidence, "margin": best.score / rival.score},
     )
+
+
+def _is_clear(hypotheses: list[Hypothesis], margin: float) -> bool:
+    return bool(hypotheses) and (hypotheses[0].score >= margin * best_rival(hypotheses).score)
+
+
+def _lidar_up(path: Trajectory) -> F64:
+    """Mean z axis of a lidar, which is up by convention [ROS REP 103], local frame."""
+    z = Rotation.from_quat(path.quaternions_xyzw).apply([0.0, 0.0, 1.0]).mean(axis=0)
+    return z / np.linalg.norm(z)
 
 
 def _undecided(first: F64, second: F64) -> StageError:

@@ -10,7 +10,7 @@ import os
 import pickle
 import resource
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
@@ -24,7 +24,7 @@ MEMORY_TIMES, MEMORY_BYTES = 4, 1 << 30
 """What a reader may ask for beside what it has: so many times the file's size, and a constant."""
 
 
-def guarded(function: Callable[..., Iterator[T]], path: Path, *arguments: Any) -> Iterator[T]:
+def guarded(function: Callable[..., Iterator[T]], path: Path, *arguments: Any) -> Generator[T]:
     """What ``function(path, *arguments)`` yields in a child process.
 
     Parameters

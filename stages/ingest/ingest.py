@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 from pydantic import Field, PositiveFloat
 
-from spinpipe.schemas import CALIBRATIONS, CAMERAS, CLOUD, SCENE, TILES
+from spinpipe.schemas import CALIBRATIONS, CAMERAS, CLOUD, SCENE, TILES, TRAJECTORY
 from spinpipe.schemas.arrays import F32, F64
 from spinpipe.schemas.records import CloudTile, SceneFrame, TileIndex
+from spinpipe.stages.ingest.odometry import Odometry, registered
 from spinpipe.stages.ingest.open_scene import open_scene
+from spinpipe.stages.ingest.read_mcap import McapSource
 from spinpipe.stages.ingest.sanity import (
     coarse_steps,
     refuse_degrees,
@@ -35,7 +37,7 @@ class Ingest:
     name = "ingest"
     version = 3
     inputs = ()
-    outputs = (CLOUD, TILES, SCENE, CAMERAS, CALIBRATIONS)
+    outputs = (CLOUD, TILES, SCENE, CAMERAS, CALIBRATIONS, TRAJECTORY)
 
     class Config(Section):
         """Which scene, and how it is cut into tiles."""
@@ -48,6 +50,9 @@ class Ingest:
             description="metres per unit of the scene, or [x, y, z] where z has another; "
             "none: as the file says, else 1",
         )
+        topic: str | None = Field(
+            default=None, description="of an MCAP file that holds clouds on several"
+        )
         photos: InputPath | None = Field(
             default=None,
             description="folder of the photos that the cameras are named after, to be shown; none: "
@@ -56,11 +61,14 @@ class Ingest:
         tile_points: int = Field(
             default=262_144, ge=1024, le=1_048_576, description="most points of a tile"
         )
+        odometry: Odometry = Field(default_factory=Odometry)
 
     def run(self, ctx: Context[Config]) -> None:
         """Write the cloud's tiles, then their index, the scene's frame, the cameras."""
         config = ctx.config
-        source = open_scene(config.scene)
+        source = open_scene(config.scene, config.topic)
+        if isinstance(source, McapSource) and source.sweeps > 1:
+            source = _one_scene(source, ctx)
         progress = ctx.progress("points read", source.points)
         found = survey(source, str(config.scene), _chunk_points(ctx.memory_bytes), progress)
         said = source.about.coordinates
@@ -107,6 +115,19 @@ class Ingest:
             ctx.write(CAMERAS, replace(cameras, positions=local))
         for calibration in source.about.calibrations:
             ctx.write(CALIBRATIONS, calibration)
+        trajectory = source.about.trajectory
+        if trajectory is not None:
+            local = (trajectory.positions - np.array(frame.origin)) * np.array(frame.scale)
+            ctx.write(TRAJECTORY, replace(trajectory, positions=local))
+
+
+def _one_scene(log: McapSource, ctx: Context[Ingest.Config]) -> SceneSource:
+    """The sweeps of a log in one frame."""
+    rules = ctx.config.odometry
+    if rules.method == "none" or (rules.method == "auto" and log.in_fixed_frame):
+        ctx.log(f"{log.sweeps:,} sweeps are taken as they are: they lie in frame '{log.frame}'")
+        return log
+    return registered(log, rules, ctx.progress("points registered", log.points).advance)
 
 
 def _chunk_points(memory: int) -> int:

@@ -7,6 +7,7 @@ from pathlib import Path
 from spinpipe.stages.ingest.file_kind import file_kind
 from spinpipe.stages.ingest.read_colmap import ColmapSource, with_cameras
 from spinpipe.stages.ingest.read_las import LasSource
+from spinpipe.stages.ingest.read_mcap import McapSource
 from spinpipe.stages.ingest.read_mesh import MESHES, sampled_mesh
 from spinpipe.stages.ingest.read_pcd import PcdSource
 from spinpipe.stages.ingest.read_ply import PlySource
@@ -16,17 +17,24 @@ from spinpipe.stages.ingest.scene_source import SceneSource
 from spinpipe.stages.stage import StageError
 
 
-def open_scene(path: Path) -> SceneSource:
-    """Open a cloud, a mesh (it is sampled) or the folder of a COLMAP model.
+def open_scene(path: Path, topic: str | None = None) -> SceneSource:
+    """Open a cloud, a mesh (it is sampled), a log or the folder of a COLMAP model.
+
+    Parameters
+    ----------
+    path : file or folder.
+    topic : of a log that holds clouds on several.
 
     Raises
     ------
     StageError
         When the path does not exist, is of no known kind or cannot be read.
     """
-    if path.is_dir():
+    kind = "folder" if path.is_dir() else file_kind(path)
+    if topic and kind != "mcap":
+        raise StageError(f"{path}: only MCAP files have topics: remove [ingest] topic")
+    if kind == "folder":
         return _open_folder(path)
-    kind = file_kind(path)
     if kind in MESHES:
         mesh = sampled_mesh(path, kind)
         if mesh is not None:
@@ -38,6 +46,8 @@ def open_scene(path: Path) -> SceneSource:
             return LasSource(path)
         case "pcd":
             return PcdSource(path)
+        case "mcap":
+            return McapSource(path, topic)
         case "text":
             return TextSource(path)
         case "obj":

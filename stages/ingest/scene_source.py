@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from spinpipe.schemas.arrays import F64, U8
-from spinpipe.schemas.records import Calibration, Cameras, Vector
+from spinpipe.schemas.records import Calibration, Cameras, Trajectory, Vector
 from spinpipe.stages.ingest.coordinates import Coordinates
 
 Chunk = tuple[F64, U8]
@@ -39,6 +39,8 @@ class About:
     """Of the cameras, where they are known."""
     photos: Path | None = None
     """Folder of the photos, where it is known."""
+    trajectory: Trajectory | None = None
+    """Of a lidar, in the scene frame."""
     notes: tuple[str, ...] = ()
     """What a user should know about how the file was understood."""
 

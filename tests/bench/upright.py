@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from spinpipe.pipeline.scenes.artificial import make_scene
-from spinpipe.schemas import CAMERAS, CLOUD, PLANE, SCENE, TILES, UPRIGHT
+from spinpipe.schemas import CAMERAS, CLOUD, PLANE, SCENE, TILES, TRAJECTORY, UPRIGHT
 from spinpipe.schemas.records import Cameras, CloudTile, Plane, SceneFrame, TileIndex
 from spinpipe.stages.ground.ground import Ground
 from spinpipe.stages.ingest.open_scene import open_scene
@@ -73,6 +73,7 @@ class _Scene:
             TILES: [TileIndex(low, high, np.array([len(tile) for tile in tiles]))],
             SCENE: [frame],
             CAMERAS: [] if cameras is None else [cameras],
+            TRAJECTORY: [],
         }
         self.plane: Plane | None = None
 

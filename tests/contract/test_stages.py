@@ -28,6 +28,7 @@ from spinpipe.schemas import (
     HITS,
     SCENE,
     TILES,
+    TRAJECTORY,
     UPRIGHT,
 )
 from spinpipe.schemas.records import CloudTile, Cluster, Hits, SceneFrame, TileIndex, Upright
@@ -149,6 +150,7 @@ def as_messages(xyz: np.ndarray) -> Messages:
         TILES: [TileIndex(low, high, counts)],
         SCENE: [SceneFrame((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), len(points), 0, False, "scene.ply")],
         CAMERAS: [],
+        TRAJECTORY: [],
         UPRIGHT: [Upright((0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0))],
     }
 

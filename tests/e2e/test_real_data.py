@@ -11,7 +11,7 @@ import pytest
 
 from spinpipe.pipeline.context import RunReader
 from spinpipe.pipeline.run_folder import RunFolder
-from spinpipe.schemas import CAMERAS, PLANE, SCENE, TILES, UPRIGHT
+from spinpipe.schemas import CAMERAS, PLANE, SCENE, TILES, TRAJECTORY, UPRIGHT
 from spinpipe.stages.geometry.frames import transform, world_from_scene
 
 if TYPE_CHECKING:
@@ -62,6 +62,20 @@ def test_a_colmap_model_comes_with_its_cameras(cli: Cli, shared_data: Path, tmp_
     heights = transform(upright.T_world_local, cameras.positions)[:, 2]
     assert heights.min() > 35
     assert heights.max() < 60
+
+
+def test_a_lidar_log_becomes_a_scene_that_stands(
+    cli: Cli, shared_data: Path, tmp_path: Path
+) -> None:
+    scene = need(shared_data / "mcap-ouster" / "pointcloudset_test.mcap")
+    run(cli, scene, tmp_path / "run", "--until", "ground")
+    read = RunReader(RunFolder(tmp_path / "run"))
+    (frame,), (upright,), (path,) = read(SCENE), read(UPRIGHT), read(TRAJECTORY)
+    assert 10_000 < frame.points < 40_000
+    assert len(path.positions) == 2
+    np.testing.assert_allclose(path.positions[1], path.positions[0], atol=0.1, err_msg="it stood")
+    assert path.times_ns[1] - path.times_ns[0] == pytest.approx(1e8, rel=0.02)
+    assert upright.T_world_local[2, 2] > np.cos(np.radians(2)), "and upright"
 
 
 def test_a_pmvs_cloud_runs_to_the_end(cli: Cli, shared_data: Path, tmp_path: Path) -> None:

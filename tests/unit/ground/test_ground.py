@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
-from spinpipe.schemas import CAMERAS, CLOUD, PLANE, SAMPLING, SCENE, TILES, UPRIGHT
-from spinpipe.schemas.records import Cameras, CloudTile, SceneFrame, TileIndex
+from spinpipe.schemas import CAMERAS, CLOUD, PLANE, SAMPLING, SCENE, TILES, TRAJECTORY, UPRIGHT
+from spinpipe.schemas.records import Cameras, CloudTile, SceneFrame, TileIndex, Trajectory
 from spinpipe.stages.ground.area_sample import sample_by_area
 from spinpipe.stages.ground.ground import Ground
 from spinpipe.stages.ingest.open_scene import open_scene
@@ -25,7 +25,7 @@ class Memory:
 
     threads, memory_bytes = 1, 2**30
 
-    def __init__(self, tiles, cameras=None, seed=0, declared=(), **config):
+    def __init__(self, tiles, cameras=None, seed=0, declared=(), lidar=None, **config):
         self.config = Ground.Config(**config)
         self.rng = np.random.default_rng(seed)
         white = [np.full(tile.shape, 255, np.uint8) for tile in tiles]
@@ -36,6 +36,7 @@ class Memory:
             TILES: [TileIndex(low, high, np.array([len(t) for t in tiles]))],
             SCENE: [SceneFrame((0, 0, 0), (1, 1, 1), 0, 0, False, "scene", up=declared)],
             CAMERAS: [] if cameras is None else [cameras],
+            TRAJECTORY: [] if lidar is None else [lidar],
         }
         self.written = {}
 
@@ -468,3 +469,29 @@ def test_a_hand_held_model_with_y_down(shared_data):
     up = np.array(plane.normal)
     rotations = Rotation.from_quat(cameras.quaternions_xyzw).as_matrix()
     assert (-(rotations[:, :, 1] + rotations[:, :, 2]) @ up > 0.5).all()
+
+
+def test_a_lidar_decides_what_the_points_do_not() -> None:
+    """Its z axis is up by convention; where the points clearly say otherwise, the run stops."""
+    rng = np.random.default_rng(0)
+
+    def path(z):
+        turn, _ = Rotation.align_vectors([z], [[0, 0, 1]])
+        return Trajectory(np.zeros((1, 3)), turn.as_quat()[None], np.zeros(1, np.int64))
+
+    room = np.concatenate(
+        [rectangle(rng, *face) for face in (
+            ((0, 0, 0), (8, 0, 0), (0, 5, 0)), ((0, 0, 3), (8, 0, 0), (0, 5, 0)),
+            ((0, 0, 0), (8, 0, 0), (0, 0, 3)), ((0, 5, 0), (8, 0, 0), (0, 0, 3)),
+            ((0, 0, 0), (0, 5, 0), (0, 0, 3)), ((8, 0, 0), (0, 5, 0), (0, 0, 3)),
+        )]
+    )  # fmt: skip
+    with pytest.raises(StageError, match="cannot tell which way is up"):
+        ground_of(room)
+    tilted = np.array([0.0, 0.02, 1.0])
+    assert angle_deg(up_of(room, lidar=path(tilted)), tilted) < 1.2
+    assert up_of(room, lidar=path([0, 0, -1]))[2] < -0.999
+    lot = car_park(rng)
+    assert angle_deg(up_of(lot, lidar=path([0.0, 0.1, 1.0])), UP) < 0.3, "the points know better"
+    with pytest.raises(StageError, match="cannot tell which way is up"):
+        ground_of(lot, lidar=path([1, 0, 0]))

@@ -41,6 +41,7 @@ from spinpipe.schemas import (
     SPIN_IMAGES,
     TILES,
     TRACES,
+    TRAJECTORY,
     UPRIGHT,
 )
 from spinpipe.schemas.records import (
@@ -59,6 +60,7 @@ from spinpipe.schemas.records import (
     ScoreTile,
     SpinImage,
     TileIndex,
+    Trajectory,
     Upright,
 )
 from spinpipe.schemas.topics import Topic
@@ -175,6 +177,13 @@ def make_run() -> Messages:
             CLOUD: clouds,
             CAMERAS: [Cameras(np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)), ("a", "b"))],
             CALIBRATIONS: [],
+            TRAJECTORY: [
+                Trajectory(
+                    np.array([[0.0, 0, 0], [1, 0, 0]]),
+                    np.tile([0.0, 0, 0, 1], (2, 1)),
+                    np.array([0, 1]),
+                )
+            ],
             MODELS: [make_model("saloon", mesh=True), make_model("van", mesh=False)],
             PLANE: [Plane((0, 0, 1), 0.0, 900, 1000, 0.03, 0.1, "cameras", (Evidence("c", 1.0),))],
             SAMPLING: [Sampling(0.1, 0.02)],
