@@ -6,6 +6,7 @@ from pathlib import Path
 
 from spinpipe.stages.ingest.file_kind import file_kind
 from spinpipe.stages.ingest.read_colmap import ColmapSource, with_cameras
+from spinpipe.stages.ingest.read_e57 import E57Source
 from spinpipe.stages.ingest.read_las import LasSource
 from spinpipe.stages.ingest.read_mcap import McapSource
 from spinpipe.stages.ingest.read_mesh import MESHES, sampled_mesh
@@ -46,6 +47,8 @@ def open_scene(path: Path, topic: str | None = None) -> SceneSource:
             return LasSource(path)
         case "pcd":
             return PcdSource(path)
+        case "e57":
+            return E57Source(path)
         case "mcap":
             return McapSource(path, topic)
         case "text":

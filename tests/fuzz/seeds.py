@@ -108,6 +108,24 @@ def mcap(path: Path) -> None:
     writer.close({"seconds": "1"})
 
 
+def log(path: Path) -> None:
+    from mcap_protobuf.writer import Writer
+
+    with path.open("wb") as stream, Writer(stream) as writer:
+        for _ in range(3):
+            tile = CloudTile(POINTS.astype(np.float32), np.zeros((60, 3), np.uint8))
+            writer.write_message("/points", CLOUD.encode(tile), log_time=1, publish_time=1)
+
+
+def e57(path: Path) -> None:
+    import pye57
+
+    path.unlink(missing_ok=True)
+    columns = dict(zip(("cartesianX", "cartesianY", "cartesianZ"), POINTS.T.copy(), strict=True))
+    with pye57.E57(str(path), "w") as file:
+        file.write_scan_raw(columns)
+
+
 def mesh(path: Path) -> None:
     trimesh.creation.icosphere(subdivisions=1).export(path)
 
@@ -157,6 +175,8 @@ FORMATS: dict[str, tuple[str, Callable[[Path], object], Callable[[Path], object]
     "gltf": ("m.gltf", mesh, read_model),
     "toml": ("c.toml", lambda p: p.write_text(CONFIG), load_config),
     "mcap": ("01_ingest.mcap", mcap, read_mcap),
+    "log": ("a.mcap", log, read_scene),
+    "e57": ("a.e57", e57, read_scene),
     "labels": ("t.csv", labels, read_labels),
 }
 """File name, what writes a whole one, what reads it; by format."""
