@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from pydantic import Field, PositiveFloat
+from pydantic import Field, PositiveFloat, model_validator
 
 from spinpipe.schemas import CALIBRATIONS, CAMERAS, CLOUD, SCENE, TILES, TRAJECTORY
 from spinpipe.schemas.arrays import F32, F64
-from spinpipe.schemas.records import CloudTile, SceneFrame, TileIndex
+from spinpipe.schemas.records import CloudTile, SceneFrame, TileIndex, Vector
+from spinpipe.stages.ingest.known_scale import ScaleFrom, known_scale
 from spinpipe.stages.ingest.odometry import Odometry, registered
 from spinpipe.stages.ingest.open_scene import open_scene
 from spinpipe.stages.ingest.read_mcap import McapSource
@@ -61,7 +62,14 @@ class Ingest:
         tile_points: int = Field(
             default=262_144, ge=1024, le=1_048_576, description="most points of a tile"
         )
+        scale_from: ScaleFrom = Field(default_factory=ScaleFrom)
         odometry: Odometry = Field(default_factory=Odometry)
+
+        @model_validator(mode="after")
+        def _one_scale(self) -> Ingest.Config:
+            if self.scale is not None and self.scale_from.given:
+                raise ValueError("scale is stated and [ingest.scale_from] tells it too: keep one")
+            return self
 
     def run(self, ctx: Context[Config]) -> None:
         """Write the cloud's tiles, then their index, the scene's frame, the cameras."""
@@ -71,17 +79,23 @@ class Ingest:
             source = _one_scene(source, ctx)
         progress = ctx.progress("points read", source.points)
         found = survey(source, str(config.scene), _chunk_points(ctx.memory_bytes), progress)
-        said = source.about.coordinates
-        scale = scale_of(config.scale, said, config.scene)
+        said, photos = source.about.coordinates, config.photos or source.about.photos
+        stated: float | Vector | None = config.scale
+        if config.scale_from.given:
+            stated, note = known_scale(
+                config.scale_from, source.about.cameras, config.photos, config.scene
+            )
+            ctx.log(note)
+        scale = scale_of(stated, said, config.scene)
         spacing_m = found.spacing(scale)
         ctx.log(scene_line(source, found, scale, spacing_m))
-        if config.scale is None:
+        if stated is None:
             refuse_degrees(found, config.scene)
         steps = coarse_steps(found, scale, spacing_m)
         for note in (
             *source.about.notes,
             *left_out(found),
-            scale_note(config.scale, said),
+            scale_note(stated, said),
             f"odd: {steps}" if steps else "",
         ):
             if note:
@@ -100,7 +114,7 @@ class Ingest:
             up_reason=source.about.known_up_reason,
             spacing_m=spacing_m,
             step_m=float(max(np.array(found.steps) * scale)),
-            photos=str(config.photos or source.about.photos or ""),
+            photos=str(photos or ""),
         )
         index = _write_tiles(source, frame, found, ctx)
         points = int(index.counts.sum())

@@ -42,7 +42,7 @@ class E57Source:
 
     def __init__(self, path: Path) -> None:
         try:
-            import pye57  # noqa: F401  here once, not in each child
+            import pye57  # noqa: F401  # pyright: ignore[reportUnusedImport]
         except ImportError:
             raise StageError(
                 f"{path}: E57 files are read by pye57, which is not installed: "

@@ -205,6 +205,17 @@ def test_photos_are_found_beside_the_model(tmp_path: Path, shared_data: Path) ->
     assert read(SCENE)[0].photos == str(tmp_path), "what is stated goes before"
 
 
+def test_a_known_distance_gives_the_scale(tmp_path: Path, shared_data: Path) -> None:
+    sparse = shared_data / "brighton" / "colmap_sparse"
+    cameras = open_scene(sparse).about.cameras
+    assert cameras is not None
+    apart = float(np.linalg.norm(cameras.positions[0] - cameras.positions[7]))
+    rules = {"cameras": (cameras.names[0], cameras.names[7]), "distance_m": 3 * apart}
+    read, notes = ingest(tmp_path / "run", sparse, scale_from=rules)
+    np.testing.assert_allclose(read(SCENE)[0].scale, 3, rtol=1e-9)
+    assert any(note.startswith("3 m a unit: ") for note in notes)
+
+
 @pytest.mark.parametrize("name", ["photo-west/scene.ply", "brighton/odm_model.laz"])
 def test_real_scenes(tmp_path: Path, shared_data: Path, name: str) -> None:
     read, _ = ingest(tmp_path / "run", shared_data / name)
