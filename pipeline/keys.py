@@ -20,6 +20,7 @@ from pydantic import BaseModel
 
 from spinpipe import schemas, stages
 from spinpipe.pipeline.input_files import Identity, hash_path, identity
+from spinpipe.pipeline.mcap_file import FORMAT
 from spinpipe.stages import STAGES
 from spinpipe.stages.stage import Stage
 
@@ -42,6 +43,7 @@ def stage_parts(
         If an input file is missing or cannot be read.
     """
     parts = {"version": f"{stage.name} {stage.version}"} | _code(stage) | {"seed": str(seed)}
+    parts["format of files"] = FORMAT
     for name, value in _flatten(section, f"[{stage.name}]"):
         parts[name] = hash_path(value, name) if isinstance(value, Path) else json.dumps(value)
     return parts | {f"stage {name}": key for name, key in inputs.items()}

@@ -1,13 +1,13 @@
 """One MCAP file of a stage: written once, checked to the last byte, read by index.
 
-Every message has ``log_time = EPOCH_NS + index`` with a counter over the whole file, so files are
-the same bytes at every run (up to the metadata) and a message is found by its index. Messages of
-one topic stand together; where each topic begins is noted in the file's metadata.
+Time is a story, the same at every run: stage i begins 10 i seconds after ``EPOCH_NS``, and record k
+of a topic stands k seconds later, which is how it is found. Records of one topic are written
+together; how many there are is noted in the file's metadata. What a viewer needs beside the
+records, see ``views``, has topics of its own.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import struct
 import threading
@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import BinaryIO, Generic, TypeVar, cast, overload
 
 from google.protobuf.message import DecodeError
+from google.protobuf.message import Message as ProtoMessage
 from mcap.exceptions import McapError
 from mcap.reader import SeekingReader
 from mcap.records import Channel, Message, Metadata
@@ -33,6 +34,11 @@ T = TypeVar("T")
 
 EPOCH_NS = 1_262_304_000_000_000_000
 """2010-01-01, the year of the paper: wall-clock time would make equal runs differ."""
+SECOND_NS = 1_000_000_000
+STAGE_S = 10
+"""Between the beginnings of two stages."""
+FORMAT = "2"
+"""Of stage files; part of every key, so that files of another format are made anew."""
 
 CHUNK_BYTES = 1 << 16
 """What a kill can cost: a chunk reaches the disk when it is full."""
@@ -45,10 +51,18 @@ class DamagedFileError(Exception):
 
 
 class StageFileWriter:
-    """Writes the messages of one stage; ``close`` makes the file complete on disk."""
+    """Writes the messages of one stage; ``close`` makes the file complete on disk.
 
-    def __init__(self, path: Path, metadata: dict[str, str]) -> None:
+    Parameters
+    ----------
+    path : of the file.
+    metadata : what it is made from.
+    number : of the stage: when its story begins.
+    """
+
+    def __init__(self, path: Path, metadata: dict[str, str], number: int = 0) -> None:
         self._path = path
+        self._begin_ns = EPOCH_NS + number * STAGE_S * SECOND_NS
         self._stream = path.open("wb")
         self._writer = Writer(
             cast(BinaryIO, self._stream),
@@ -59,43 +73,54 @@ class StageFileWriter:
         self._writer.start(profile="", library="spinpipe")
         self._writer.add_metadata("stage", metadata)
         self._channels: dict[str, int] = {}
-        self._topics: dict[str, list[int]] = {}
-        self._next = 0
+        self._counts: dict[str, int] = {}
+        self._last = ""
 
     def declare(self, topic: Topic[T]) -> None:
         """Register a topic, so that it is in the file even without a message."""
-        if topic.name not in self._channels:
-            schema = register_schema(self._writer, topic.proto)
-            self._channels[topic.name] = self._writer.register_channel(
-                topic=topic.name, message_encoding="protobuf", schema_id=schema
+        self._channel(topic.name, topic.proto)
+
+    def _channel(self, name: str, proto: type[ProtoMessage]) -> int:
+        if name not in self._channels:
+            schema = register_schema(self._writer, proto)
+            self._channels[name] = self._writer.register_channel(
+                topic=name, message_encoding="protobuf", schema_id=schema
             )
+        return self._channels[name]
 
     def write(self, topic: Topic[T], message: T) -> None:
         """Append one record; all records of a topic must be written one after the other."""
         self.write_bytes(topic, topic.encode(message).SerializeToString(deterministic=True))
 
     def write_bytes(self, topic: Topic[T], data: bytes) -> None:
-        """Append one message that is encoded already."""
-        self.declare(topic)
-        first, count = self._topics.setdefault(topic.name, [self._next, 0])
-        if first + count != self._next:
+        """Append one record that is encoded already."""
+        count = self._counts.get(topic.name, 0)
+        if count and self._last != topic.name:
             raise ValueError(f"{topic.name}: messages of a topic must be written together")
-        time = EPOCH_NS + self._next
+        self._add(self._channel(topic.name, topic.proto), count, count, data)
+        self._counts[topic.name], self._last = count + 1, topic.name
+
+    def write_view(self, name: str, seconds: int, message: ProtoMessage) -> None:
+        """Append what only viewers read, so long after the stage's beginning."""
+        data = message.SerializeToString(deterministic=True)
+        self._add(self._channel(name, type(message)), seconds, 0, data)
+
+    def _add(self, channel: int, seconds: int, sequence: int, data: bytes) -> None:
+        time = self._begin_ns + seconds * SECOND_NS
         with naming(self._path):
             self._writer.add_message(
-                channel_id=self._channels[topic.name],
+                channel_id=channel,
                 log_time=time,
                 publish_time=time,
                 data=data,
-                sequence=count,
+                sequence=sequence,
             )
             self._stream.flush()  # what is written survives a kill: see recover()
-        self._topics[topic.name][1] += 1
-        self._next += 1
 
     def close(self, metadata: dict[str, str]) -> None:
         """Write the index, flush to disk and read everything back against its checksums."""
-        self._writer.add_metadata("topics", {n: json.dumps(t) for n, t in self._topics.items()})
+        records = {name: str(count) for name, count in self._counts.items()}
+        self._writer.add_metadata("records", {"begin_ns": str(self._begin_ns), **records})
         self._writer.add_metadata("result", metadata)
         with naming(self._path):
             self._writer.finish()
@@ -146,8 +171,13 @@ def require_whole(path: Path) -> None:
     DamagedFileError
         See ``check``.
     """
+    _check_once(*_identity(path))
+
+
+def _identity(path: Path) -> tuple[Path, int, int, int, int]:
+    """What changes when a file changes."""
     stat = path.stat()
-    _check_once(path.resolve(), stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns)
+    return path.resolve(), stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns
 
 
 @lru_cache(maxsize=256)
@@ -173,14 +203,18 @@ def read_metadata(path: Path, name: str) -> dict[str, str]:
         If any byte of the file is not what was written.
     """
     require_whole(path)
+    return dict(_metadata(*_identity(path)).get(name, {}))
+
+
+@lru_cache(maxsize=256)
+def _metadata(path: Path, *_identity: int) -> dict[str, dict[str, str]]:
+    """All metadata records of a whole file by name."""
     try:
         with path.open("rb") as stream:
-            for record in SeekingReader(stream, validate_crcs=True).iter_metadata():
-                if record.name == name:
-                    return dict(record.metadata)
+            records = SeekingReader(stream, validate_crcs=True).iter_metadata()
+            return {record.name: dict(record.metadata) for record in records}
     except (McapError, struct.error, ValueError, UnicodeDecodeError):
         raise DamagedFileError(f"{path.name} is cut short or damaged") from None
-    return {}
 
 
 class Messages(Sequence[T], Generic[T]):
@@ -192,11 +226,12 @@ class Messages(Sequence[T], Generic[T]):
     def __init__(self, path: Path, topic: Topic[T]) -> None:
         self.path = path
         self.topic = topic
-        span = read_metadata(path, "topics").get(topic.name, "[0, 0]")
+        records = read_metadata(path, "records")
         try:
-            self._first, self._count = (int(number) for number in json.loads(span))
-        except (ValueError, TypeError):
-            raise DamagedFileError(f"{path.name} was not written by spinpipe") from None
+            self._begin_ns = int(records["begin_ns"])
+            self._count = int(records.get(topic.name, "0"))
+        except (KeyError, ValueError):
+            raise DamagedFileError(f"{path.name} was not written by this version") from None
 
     def __len__(self) -> int:
         return self._count
@@ -217,9 +252,10 @@ class Messages(Sequence[T], Generic[T]):
         return self._read(0, self._count)
 
     def _read(self, begin: int, end: int) -> Iterator[T]:
-        start = EPOCH_NS + self._first
         messages = _reader(self.path).iter_messages(
-            topics=self.topic.name, starting_at=start + begin, ending_before=start + end
+            topics=self.topic.name,
+            starting_at=self._begin_ns + begin * SECOND_NS,
+            ending_before=self._begin_ns + end * SECOND_NS,
         )
         try:
             for _, _, message in messages:

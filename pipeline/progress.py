@@ -1,7 +1,7 @@
 """Progress on the terminal: a bar for each step of a stage, plain lines where it is no terminal.
 
 It never stands still: bars count the seconds, plain lines come every ten seconds whether anything
-advanced or not, and the compilation of kernels (a minute at the first run) is announced.
+advanced or not, and the compilation of kernels (minutes at the first run) is announced and counted.
 """
 
 from __future__ import annotations
@@ -68,8 +68,11 @@ def stage_progress(console: Console, stage: str) -> Generator[StageProgress]:
         speed_estimate_period=SPEED_OVER_S,
     )
     ended = threading.Event()
-    teller = threading.Thread(target=_tell, args=(console, bars, stage, ended), daemon=True)
-    with bars, event.install_listener("numba:compile", _Compilation(console, stage)):
+    compilation = _Compilation(console, bars, stage)
+    teller = threading.Thread(
+        target=_tell, args=(console, bars, stage, compilation, ended), daemon=True
+    )
+    with bars, event.install_listener("numba:compile", compilation):
         if not console.is_terminal:
             teller.start()
         try:
@@ -80,34 +83,56 @@ def stage_progress(console: Console, stage: str) -> Generator[StageProgress]:
                 teller.join()
 
 
-def _tell(console: Console, bars: Progress, stage: str, ended: threading.Event) -> None:
+def _tell(
+    console: Console,
+    bars: Progress,
+    stage: str,
+    compilation: _Compilation,
+    ended: threading.Event,
+) -> None:
     """Print a line now and then on how far a stage is."""
     began = time.monotonic()
     while not ended.wait(PLAIN_INTERVAL_S):
         text = f"  {stage}: {time.monotonic() - began:.0f} s"
+        if compilation.doing:
+            text += f"; {compilation.doing}"
         for task in bars.tasks:
             if not task.finished and task.total:
                 text += f"; {task.description} {task.completed / task.total:.0%}"
-                if task.completed and task.elapsed:
+                if task.completed and task.elapsed and not compilation.doing:
                     left = task.elapsed * (task.total / task.completed - 1)
                     text += f", {left:.0f} s left"
         console.print(text, highlight=False)
 
 
 class _Compilation(event.Listener):
-    """Says once a stage that kernels are being compiled."""
+    """Says what kernels are being compiled: those that are not kept on disk wait for it."""
 
-    def __init__(self, console: Console, stage: str) -> None:
+    def __init__(self, console: Console, bars: Progress, stage: str) -> None:
         self._console = console
+        self._bars = bars
         self._stage = stage
-        self._told = False
+        self._task: TaskID | None = None
+        self._kernels = 0
+        self._under_way = 0
+        self.doing = ""
+        """In words; empty while nothing is compiled."""
 
-    def on_start(self, event: event.Event) -> None:  # noqa: ARG002 - numba's signature
-        """A kernel that is not kept on disk yet: its first call waits for the compiler."""
-        if not self._told:
-            self._told = True
-            text = f"  {self._stage}: compiling kernels, once for this machine; up to a minute"
+    def on_start(self, event: event.Event) -> None:
+        """One more kernel, perhaps for another one that waits for it."""
+        if self._task is None:
+            text = f"  {self._stage}: compiling kernels, once for this machine; a minute or two"
             self._console.print(text, highlight=False)
+            self._task = self._bars.add_task("", total=None, stage=self._stage)
+        self._kernels += 1
+        self._under_way += 1
+        name = event.data["dispatcher"].py_func.__name__ if event.data else "kernel"
+        self.doing = f"compiling kernel {self._kernels}, {name.lstrip('_')}"
+        self._bars.update(self._task, description=self.doing, visible=True)
 
-    def on_end(self, event: event.Event) -> None:
-        """Nothing: the next kernel may follow at once."""
+    def on_end(self, event: event.Event) -> None:  # noqa: ARG002 - numba's signature
+        """The next kernel may follow at once."""
+        self._under_way -= 1
+        if not self._under_way and self._task is not None:
+            self.doing = ""
+            self._bars.update(self._task, visible=False)

@@ -22,6 +22,7 @@ from spinpipe.pipeline.mcap_file import DamagedFileError, StageFileWriter, read_
 from spinpipe.pipeline.plan import Step
 from spinpipe.pipeline.progress import stage_progress
 from spinpipe.pipeline.run_folder import RunFolder
+from spinpipe.stages import STAGES
 from spinpipe.stages.stage import StageError
 
 LIBRARIES = ("spinpipe", "numpy", "scipy", "numba", "mcap", "rerun-sdk", "pyproj", "kiss-icp")
@@ -94,7 +95,8 @@ class Runner:
         partial = self._folder.partial(name)
         self._set_aside(step)
         about = {"stage": name, "key": step.key, "parts": json.dumps(step.parts)}
-        writer = StageFileWriter(partial, about | {"section": step.config.model_dump_json()})
+        about["section"] = step.config.model_dump_json()
+        writer = StageFileWriter(partial, about, number=STAGES.index(step.stage) + 1)
         for topic in step.stage.outputs:
             writer.declare(topic)
         began = time.perf_counter()

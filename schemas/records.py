@@ -283,6 +283,10 @@ class Part:
 
     name: str
     value: float
+    reference: float = 1.0
+    """What a right instance gets in such a cloud."""
+    merit: float = 0.0
+    """What it adds to the logarithm of the odds; negative speaks against."""
 
 
 @dataclass(frozen=True)
@@ -337,3 +341,9 @@ class Detection:
     """Logarithm of the odds that it is an instance: it ranks what the score rounds to 0 or 1."""
     tilt_deg: float = 0.0
     """Of what it stands on, and of the object with it."""
+    gate_m: float = 0.0
+    """A point farther than this from the fitted surface is not explained by it."""
+    sharp_m: float = 0.0
+    """The same without the noise of single points."""
+    min_score: float = 0.5
+    """Score from which on it would be accepted."""

@@ -175,15 +175,19 @@ class FitTrace(_message.Message):
     def __init__(self, cluster: _Optional[int] = ..., start_heading_deg: _Optional[_Union[Array, _Mapping]] = ..., rms_m: _Optional[_Union[Array, _Mapping]] = ..., poses: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class Part(_message.Message):
-    __slots__ = ("name", "value")
+    __slots__ = ("name", "value", "reference", "merit")
     NAME_FIELD_NUMBER: _ClassVar[int]
     VALUE_FIELD_NUMBER: _ClassVar[int]
+    REFERENCE_FIELD_NUMBER: _ClassVar[int]
+    MERIT_FIELD_NUMBER: _ClassVar[int]
     name: str
     value: float
-    def __init__(self, name: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+    reference: float
+    merit: float
+    def __init__(self, name: _Optional[str] = ..., value: _Optional[float] = ..., reference: _Optional[float] = ..., merit: _Optional[float] = ...) -> None: ...
 
 class Detection(_message.Message):
-    __slots__ = ("id", "cluster", "model", "fate", "reason", "T_world_object", "T_scene_model", "position_world", "position_scene", "heading_deg", "heading_margin", "correlation", "rms_m", "inliers", "runner_up_heading_deg", "runner_up_rms_m", "coverage_model", "coverage_scene", "observed", "score", "parts", "size_m", "alternative", "alternative_margin", "cause", "duplicate_of", "log_odds", "tilt_deg")
+    __slots__ = ("id", "cluster", "model", "fate", "reason", "T_world_object", "T_scene_model", "position_world", "position_scene", "heading_deg", "heading_margin", "correlation", "rms_m", "inliers", "runner_up_heading_deg", "runner_up_rms_m", "coverage_model", "coverage_scene", "observed", "score", "parts", "size_m", "alternative", "alternative_margin", "cause", "duplicate_of", "log_odds", "tilt_deg", "gate_m", "sharp_m", "min_score")
     ID_FIELD_NUMBER: _ClassVar[int]
     CLUSTER_FIELD_NUMBER: _ClassVar[int]
     MODEL_FIELD_NUMBER: _ClassVar[int]
@@ -212,6 +216,9 @@ class Detection(_message.Message):
     DUPLICATE_OF_FIELD_NUMBER: _ClassVar[int]
     LOG_ODDS_FIELD_NUMBER: _ClassVar[int]
     TILT_DEG_FIELD_NUMBER: _ClassVar[int]
+    GATE_M_FIELD_NUMBER: _ClassVar[int]
+    SHARP_M_FIELD_NUMBER: _ClassVar[int]
+    MIN_SCORE_FIELD_NUMBER: _ClassVar[int]
     id: int
     cluster: int
     model: str
@@ -240,4 +247,7 @@ class Detection(_message.Message):
     duplicate_of: int
     log_odds: float
     tilt_deg: float
-    def __init__(self, id: _Optional[int] = ..., cluster: _Optional[int] = ..., model: _Optional[str] = ..., fate: _Optional[str] = ..., reason: _Optional[str] = ..., T_world_object: _Optional[_Union[Array, _Mapping]] = ..., T_scene_model: _Optional[_Union[Array, _Mapping]] = ..., position_world: _Optional[_Iterable[float]] = ..., position_scene: _Optional[_Iterable[float]] = ..., heading_deg: _Optional[float] = ..., heading_margin: _Optional[float] = ..., correlation: _Optional[float] = ..., rms_m: _Optional[float] = ..., inliers: _Optional[int] = ..., runner_up_heading_deg: _Optional[float] = ..., runner_up_rms_m: _Optional[float] = ..., coverage_model: _Optional[float] = ..., coverage_scene: _Optional[float] = ..., observed: _Optional[float] = ..., score: _Optional[float] = ..., parts: _Optional[_Iterable[_Union[Part, _Mapping]]] = ..., size_m: _Optional[_Iterable[float]] = ..., alternative: _Optional[str] = ..., alternative_margin: _Optional[float] = ..., cause: _Optional[str] = ..., duplicate_of: _Optional[int] = ..., log_odds: _Optional[float] = ..., tilt_deg: _Optional[float] = ...) -> None: ...
+    gate_m: float
+    sharp_m: float
+    min_score: float
+    def __init__(self, id: _Optional[int] = ..., cluster: _Optional[int] = ..., model: _Optional[str] = ..., fate: _Optional[str] = ..., reason: _Optional[str] = ..., T_world_object: _Optional[_Union[Array, _Mapping]] = ..., T_scene_model: _Optional[_Union[Array, _Mapping]] = ..., position_world: _Optional[_Iterable[float]] = ..., position_scene: _Optional[_Iterable[float]] = ..., heading_deg: _Optional[float] = ..., heading_margin: _Optional[float] = ..., correlation: _Optional[float] = ..., rms_m: _Optional[float] = ..., inliers: _Optional[int] = ..., runner_up_heading_deg: _Optional[float] = ..., runner_up_rms_m: _Optional[float] = ..., coverage_model: _Optional[float] = ..., coverage_scene: _Optional[float] = ..., observed: _Optional[float] = ..., score: _Optional[float] = ..., parts: _Optional[_Iterable[_Union[Part, _Mapping]]] = ..., size_m: _Optional[_Iterable[float]] = ..., alternative: _Optional[str] = ..., alternative_margin: _Optional[float] = ..., cause: _Optional[str] = ..., duplicate_of: _Optional[int] = ..., log_odds: _Optional[float] = ..., tilt_deg: _Optional[float] = ..., gate_m: _Optional[float] = ..., sharp_m: _Optional[float] = ..., min_score: _Optional[float] = ...) -> None: ...

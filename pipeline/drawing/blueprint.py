@@ -9,7 +9,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
-from spinpipe.pipeline.drawing import palette
+from spinpipe.pipeline.drawing import palette, parts
 from spinpipe.pipeline.drawing.drawing import CANDIDATE, NOTES, WORLD, Reader
 from spinpipe.pipeline.drawing.eye import diagonal, is_long, object_eye, scene_corners, scene_eye
 from spinpipe.pipeline.drawing.model import model_path, places_in_row
@@ -108,7 +108,12 @@ def _candidate(models: Sequence[ObjectModel], near_radius: float) -> rrb.Vertica
         "candidate/points": rr.Points3D.from_fields(radii=-2.0),
         "candidate/surface": rr.Points3D.from_fields(radii=-2.2),
     }
-    explained = ["+ /candidate/**", "- /candidate/spin/**", "- /candidate/surface"]
+    explained = [
+        "+ /candidate/**",
+        "- /candidate/spin/**",
+        "- /candidate/surface",
+        "- /candidate/parts/**",
+    ]
     surface = ["+ /candidate/surface", "+ /candidate/box"]
     fit = ["+ /ingest/cloud/**", "+ /verify/fit/**", "+ /candidate/runner_up"]
     return rrb.Vertical(
@@ -121,9 +126,16 @@ def _candidate(models: Sequence[ObjectModel], near_radius: float) -> rrb.Vertica
             rrb.TextDocumentView(origin=NOTES, name="Notes"),
         ),
         rrb.Horizontal(
-            rrb.Spatial2DView(origin="/candidate/spin/own", name="Its spin image"),
-            rrb.Spatial2DView(origin="/candidate/spin/model", name="The model's"),
-            rrb.Spatial2DView(origin="/candidate/spin/difference", name="Orange more, blue less"),
+            rrb.Spatial2DView(
+                origin=f"/{parts.PATH}",
+                name="Its score, part by part",
+                background=palette.BACKGROUND,
+                visual_bounds=rrb.VisualBounds2D(x_range=parts.BOUNDS[0], y_range=parts.BOUNDS[1]),
+            ),
+            rrb.Spatial2DView(origin="/candidate/spin/own", name="Spin image"),
+            rrb.Spatial2DView(origin="/candidate/spin/model", name="Model's"),
+            rrb.Spatial2DView(origin="/candidate/spin/difference", name="More, less"),
+            column_shares=[9, 3, 3, 3],
         ),
         rrb.Tabs(
             _residuals(),
@@ -143,7 +155,7 @@ def _candidate(models: Sequence[ObjectModel], near_radius: float) -> rrb.Vertica
                 eye_controls=object_eye(models, places_in_row(models)).controls(),
             ),
         ),
-        row_shares=[6, 2, 3],
+        row_shares=[11, 7, 6],
     )
 
 

@@ -17,6 +17,7 @@ from spinpipe.pipeline.drawing import palette
 from spinpipe.pipeline.drawing.closeup import Closeup, closeups
 from spinpipe.pipeline.drawing.drawing import CANDIDATE, STAGE_NUMBER, Reader, place
 from spinpipe.pipeline.drawing.model import model_bounds
+from spinpipe.pipeline.drawing.parts import draw_parts
 from spinpipe.pipeline.drawing.timelines import candidate_step
 from spinpipe.schemas import MODELS, SPIN_IMAGES
 from spinpipe.schemas.arrays import F32, F64, U8
@@ -25,7 +26,7 @@ from spinpipe.stages.geometry.frames import heading_quaternion
 
 ROOT = "candidate"
 MOST = 400
-"""Candidates that are looked at closely: all kept ones, then the best of the others."""
+"""Candidates that are looked at closely."""
 FEWEST_POINTS, MOST_POINTS = 300, 2500
 """Of the cloud around one candidate."""
 WHAT_COLOURS = np.array(
@@ -34,11 +35,15 @@ WHAT_COLOURS = np.array(
 SIGHT_COLOURS = np.array([palette.SEEN, palette.CONTRADICTED, palette.NOT_OBSERVED], np.uint8)
 
 
+def worth_a_look(detections: Sequence[Detection]) -> list[Detection]:
+    """Those that are looked at closely, the kept ones first, then the best of the others."""
+    return sorted(detections, key=lambda d: (palette.rank(d.fate), -d.log_odds, d.id))[:MOST]
+
+
 def draw_candidates(
-    read: Reader, rec: rr.RecordingStream, detections: Sequence[Detection], preview_points: int
+    read: Reader, rec: rr.RecordingStream, ranked: Sequence[Detection], preview_points: int
 ) -> None:
-    """Log points, surface, outlines and spin images of the candidates worth a look."""
-    ranked = sorted(detections, key=lambda d: (palette.rank(d.fate), -d.score, d.id))[:MOST]
+    """Log points, surface, outlines and spin images of candidates, the best one first."""
     if not ranked:
         return
     points = int(np.clip(preview_points // len(ranked), FEWEST_POINTS, MOST_POINTS))
@@ -62,6 +67,7 @@ def draw_candidates(
         _boxes(rec, "box", index, [_own_box(c.detection) for c in shown])
         _boxes(rec, "runner_up", index, [_runner_up(c.detection) for c in shown])
         _boxes(rec, "next_model", index, [_next_model(c.detection, sizes) for c in shown])
+        draw_parts(rec, index, [c.detection for c in shown])
         for step, look in zip(at, shown, strict=True):
             rec.reset_time()
             rec.set_time(timeline, sequence=step)

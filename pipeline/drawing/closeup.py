@@ -1,19 +1,21 @@
 """What is around each candidate: its points explained or not, its model's surface seen or not.
 
-Shown, never used to decide: the classes are those of the evidence (``stages/verify``) in the plain
-form that a picture needs. A point is *explained* within the model's gate of its surface, *ground*
-below where anything could be told from it, *unexplained* elsewhere in the model's box. A piece of
-surface is *seen* where a point lies within the gate, *contradicted* where the scene shows something
-below it and nothing at or above it, *not observed* elsewhere.
+Shown, never used to decide. The limits are those by which it was judged (``gate_m`` and ``sharp_m``
+of a detection), and the classes follow the rules of the evidence (``stages/verify/evidence``), told
+piece by piece instead of summed. A point is *explained* within the gate of the model's surface,
+*ground* below where anything could be told from it, *unexplained* elsewhere in the model's box. A
+piece of surface is *seen* where the points around it lie on it, *contradicted* where they lie
+beside it or the scene shows something below it and nothing at or above it, else *not observed*.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from spinpipe.schemas import CLOUD, CLUSTERS, HITS, MODELS, SAMPLING, SPIN_IMAGES, TILES, UPRIGHT
@@ -41,6 +43,8 @@ AT_ONCE = 400
 """Candidates whose points are held together."""
 LOW_SHARE = 0.07
 """What is lower than this share of the height may be ground, as for the evidence."""
+COLUMN_SPACINGS = 2.0
+"""Radius of the column around a piece of surface, in spacings of the points; likewise."""
 
 
 class Reader(Protocol):
@@ -55,8 +59,8 @@ class Reader(Protocol):
 class Closeup:
     """Surroundings of one candidate.
 
-    Coordinates are in its own frame: metres, z up, middle of the object's base at the origin, +x
-    where it is headed; nothing is stretched.
+    Coordinates are in its own frame, which leans with it: metres, z up, middle of the object's base
+    at the origin, +x where it is headed; nothing is stretched.
     """
 
     detection: Detection
@@ -79,11 +83,11 @@ class _Look:
     """One model as it is compared with points."""
 
     seen: F64
-    """(M, 3) surface that the sensor could see, object frame."""
+    """(M, 3) some of the surface that the sensor could see, object frame."""
+    normals: F64
+    """(M, 3) outwards; z where the model has none."""
     tree: KDTree
     """All of its surface."""
-    narrow_m: float
-    stretch: float
 
 
 def closeups(read: Reader, detections: Sequence[Detection], most_points: int) -> Iterator[Closeup]:
@@ -93,13 +97,13 @@ def closeups(read: Reader, detections: Sequence[Detection], most_points: int) ->
     ----------
     read : reader of a complete run.
     detections : to look at.
-    most_points : of the cloud kept for each; classes are found before thinning.
+    most_points : of the cloud kept for each; the surface is compared with all of them.
     """
     if not detections:
         return
     looks = {model.name: _look(model) for model in read(MODELS)}
     spins = {image.model: image for image in read(SPIN_IMAGES) if image.role == "model"}
-    hits = {group.model: group for group in read(HITS)}
+    hits = {group.model: _Hits(group) for group in read(HITS) if len(group.points)}
     places = {cluster.id: cluster.position for cluster in read(CLUSTERS)}
     sampling = read(SAMPLING)[0]
     cloud = WorldCloud.of(read(CLOUD), read(TILES)[0], read(UPRIGHT)[0])
@@ -111,22 +115,16 @@ def closeups(read: Reader, detections: Sequence[Detection], most_points: int) ->
             yield _closeup(d, xyz, rgb, spin, looks[d.model], sampling, most_points)
 
 
-def gate_m(narrow_m: float, stretch: float, sampling: Sampling) -> float:
-    """How far a point may lie from a model's surface and be explained by it, metres.
-
-    As ``stages/verify`` has it: noise, spacing and unknown shape in quadrature.
-    """
-    shape = stretch * narrow_m
-    return float(np.sqrt((3 * sampling.noise_m) ** 2 + sampling.spacing_m**2 + shape**2))
-
-
 def _look(model: ObjectModel) -> _Look:
-    seen = np.asarray(model.points if len(model.points) else model.vertices, np.float64)
-    every = seen
+    every = np.asarray(model.points if len(model.points) else model.vertices, np.float64)
+    step = max(1, len(every) // SURFACE_POINTS)
+    seen, normals = every[::step], np.tile([0.0, 0.0, 1.0], (len(every[::step]), 1))
+    if len(model.normals) == len(every) and model.normals.any():
+        normals = np.asarray(model.normals[::step], np.float64)
     if len(model.faces):  # points may lie on what the sensor saw little of, too
         rng = np.random.default_rng(0)
         every, _ = sample_surface(model.vertices, model.faces, TREE_POINTS, rng)
-    return _Look(seen, KDTree(every), float(model.size.min()) / 2, model.stretch)
+    return _Look(seen, normals, KDTree(every))
 
 
 def _reach(d: Detection, spin: SpinImage | None) -> float:
@@ -176,66 +174,94 @@ def _closeup(
     most_points: int,
 ) -> Closeup:
     size = np.asarray(d.size_m, np.float64)
-    angle = np.radians(d.heading_deg)
-    cos, sin = np.cos(angle), np.sin(angle)
-    xyz = world.astype(np.float64) - d.position_world
-    xyz = xyz @ np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1.0]])
     stretch = np.linalg.norm(d.T_world_object[:3, :3], axis=0)
-    gate = gate_m(look.narrow_m, look.stretch, sampling)
-    high = 1.5 * size[2] + 0.5
-    kept = (xyz[:, 2] > -0.5 * size[2]) & (xyz[:, 2] < high)
-    kept &= np.all(abs(xyz[:, :2]) < size[:2] / 2 + MARGIN * size[:2].max(), axis=1)
+    xyz = (world - np.asarray(d.position_world)) @ (d.T_world_object[:3, :3] / stretch)
+    beside = size[:2] / 2 + MARGIN * size[:2].max()
+    kept = (xyz[:, 2] > -0.5 * size[2]) & (xyz[:, 2] < 1.5 * size[2] + 0.5)
+    kept &= (abs(xyz[:, 0]) < beside[0]) & (abs(xyz[:, 1]) < beside[1])
     xyz, rgb = xyz[kept], rgb[kept]
-    what = _classify(xyz, look, stretch, size, gate, sampling)
-    step = max(1, len(look.seen) // SURFACE_POINTS)
-    surface = look.seen[::step] * stretch
-    sight = _see(surface, xyz, gate, sampling)
-    shown = np.arange(min(most_points, len(xyz))) * len(xyz) // max(min(most_points, len(xyz)), 1)
-    return Closeup(
-        d, xyz[shown].astype(np.float32), rgb[shown], what[shown], surface.astype(np.float32),
-        sight, spin,
-    )  # fmt: skip
+    surface = look.seen * stretch
+    sight = _see(surface, look.normals / stretch, xyz, d, sampling)
+    count = min(most_points, len(xyz))
+    shown = np.arange(count) * len(xyz) // max(count, 1)
+    xyz, rgb = xyz[shown], rgb[shown]
+    what = _classify(xyz, look, stretch, d, sampling)
+    near = np.asarray(xyz, np.float32)
+    return Closeup(d, near, rgb, what, surface.astype(np.float32), sight, spin)
 
 
-def _classify(
-    xyz: F64, look: _Look, stretch: F64, size: F64, gate: float, sampling: Sampling
-) -> U8:
+def _classify(xyz: F64, look: _Look, stretch: F64, d: Detection, sampling: Sampling) -> U8:
     what = np.full(len(xyz), AROUND, np.uint8)
-    if not len(xyz):
-        return what
-    low = max(3 * sampling.noise_m, LOW_SHARE * size[2])
-    inside = np.all(abs(xyz[:, :2]) <= size[:2] / 2 + gate, axis=1) & (xyz[:, 2] < size[2] + gate)
-    what[inside & (xyz[:, 2] > low)] = UNEXPLAINED
-    distance, _ = look.tree.query(xyz / stretch, distance_upper_bound=gate / stretch.min())
-    what[inside & (xyz[:, 2] > low) & np.isfinite(distance)] = EXPLAINED
-    what[xyz[:, 2] <= low] = GROUND
+    low_m = max(3 * sampling.noise_m, LOW_SHARE * d.size_m[2])
+    reach = np.array([d.size_m[0] / 2, d.size_m[1] / 2, d.size_m[2]]) + d.gate_m
+    rows = np.flatnonzero((abs(xyz) <= reach).all(axis=1) & (xyz[:, 2] > low_m))
+    what[xyz[:, 2] <= low_m] = GROUND
+    if len(rows):
+        near = xyz[rows]
+        least = float(stretch.min())
+        away, nearest = look.tree.query(near / stretch, distance_upper_bound=d.gate_m / least)
+        surface = look.tree.data[np.minimum(nearest, look.tree.n - 1)] * stretch
+        explained = np.isfinite(away) & (((near - surface) ** 2).sum(axis=1) <= d.gate_m**2)
+        within = (abs(near[:, :2]) <= np.array(d.size_m[:2]) / 2).all(axis=1)
+        what[rows[explained]] = EXPLAINED
+        what[rows[~explained & within & (near[:, 2] <= d.size_m[2])]] = UNEXPLAINED
     return what
 
 
-def _see(surface: F64, xyz: F64, gate: float, sampling: Sampling) -> U8:
+def _see(surface: F64, normals: F64, xyz: F64, d: Detection, sampling: Sampling) -> U8:
+    """``surface_evidence`` of ``stages/verify/evidence``, piece by piece of the surface."""
     sight = np.full(len(surface), NOT_OBSERVED, np.uint8)
     if not len(xyz):
         return sight
-    distance, _ = KDTree(xyz).query(surface, distance_upper_bound=gate)
-    seen = np.isfinite(distance)
-    sight[seen] = SEEN
-    unseen = np.flatnonzero(~seen)
-    column = KDTree(xyz[:, :2])
-    radius = max(sampling.spacing_m, 0.5 * gate)
-    for i, rows in zip(unseen, column.query_ball_point(surface[unseen, :2], radius), strict=True):
-        z = xyz[rows, 2]
-        if len(z) and z.max() < surface[i, 2] - gate:
-            sight[i] = CONTRADICTED
+    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    column_m = COLUMN_SPACINGS * sampling.spacing_m
+    pairs = KDTree(xyz[:, :2]).sparse_distance_matrix(
+        KDTree(surface[:, :2]), column_m, output_type="ndarray"
+    )
+    point, piece = pairs["i"], pairs["j"]
+    away = xyz[point] - surface[piece]
+    nz = np.maximum(normals[:, 2], 0.3)
+    slope = np.sqrt(1 - np.minimum(nz, 1.0) ** 2) / nz
+    band = (d.gate_m / nz + 0.5 * slope * column_m)[piece]
+    at, above = abs(away[:, 2]) <= band, away[:, 2] > band
+    inset = np.array(d.size_m[:2]) / 2 - 0.5 * d.sharp_m  # what lies beside is no sight through
+    below = (away[:, 2] < -band) & (abs(xyz[point, :2]) < inset).all(axis=1)
+
+    def count(which: NDArray[Any]) -> F64:
+        return np.bincount(piece, which, len(surface)).astype(np.float64)
+
+    n_at, n_below, n_above = count(at), count(below), count(above)
+    enough = max(0.25 * sampling.density * np.pi * column_m**2, 1.0)
+    some = np.maximum(n_at, 1.0)
+    offset = count(at * (away * normals[piece]).sum(axis=1)) / some
+    surface_m = np.sqrt(d.sharp_m**2 + (d.gate_m**2 - d.sharp_m**2) / some)
+    held = np.maximum(np.minimum(n_at / enough, 1), n_at / np.maximum(n_at + n_below, 1))
+    beside = (n_at > 0) & (abs(offset) > surface_m)
+    through = (n_below > 0) & (n_above < enough) & (held < 0.5)
+    sight[(n_at > 0) & (held >= 0.5)] = SEEN
+    sight[beside | through] = CONTRADICTED
     return sight
 
 
-def _own_spin(world: F32, place: Vector | None, model: SpinImage | None, hits: Hits | None) -> F32:
+class _Hits:
+    """Hits of one model, to be found by place."""
+
+    def __init__(self, hits: Hits) -> None:
+        self._hits = hits
+        self._tree = KDTree(hits.points)
+
+    def best_near(self, place: Vector, radius_m: float) -> F32 | None:
+        """The hit (3,) of the highest correlation."""
+        near = self._tree.query_ball_point(place, radius_m)
+        if not near:
+            return None
+        return self._hits.points[near[int(np.argmax(self._hits.correlation[near]))]]
+
+
+def _own_spin(world: F32, place: Vector | None, model: SpinImage | None, hits: _Hits | None) -> F32:
     """The spin image around the candidate's best hit, counted as the scan counts."""
-    if place is None or model is None or hits is None:
+    best = hits.best_near(place, model.radius_m) if place and model and hits else None
+    if best is None or model is None:
         return np.empty((0, 0), np.float32)
-    near = np.linalg.norm(hits.points - np.asarray(place, np.float32), axis=1) <= model.radius_m
-    if not near.any():
-        return np.empty((0, 0), np.float32)
-    best = np.flatnonzero(near)[np.argmax(hits.correlation[near])]
     grid = SpinGrid.of(model.radius_m, model.height_m, model.bin_m)
-    return spin_image(world, hits.points[best], grid).astype(np.float32)
+    return spin_image(world, best, grid).astype(np.float32)

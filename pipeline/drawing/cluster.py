@@ -9,17 +9,9 @@ import numpy as np
 import rerun as rr
 
 from spinpipe.pipeline.drawing import palette
-from spinpipe.pipeline.drawing.drawing import (
-    WORLD,
-    Reader,
-    at_candidate,
-    at_stage,
-    at_stages,
-    note,
-    place,
-    put,
-)
+from spinpipe.pipeline.drawing.drawing import WORLD, Reader, at_stage, at_stages, note, put
 from spinpipe.pipeline.drawing.model import model_bounds
+from spinpipe.pipeline.drawing.timelines import candidate_step
 from spinpipe.schemas import CLUSTERS, MODELS
 from spinpipe.schemas.records import Cluster
 
@@ -49,14 +41,17 @@ def draw(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
         ),
         WORLD,
     )
-    place(rec, "cluster/candidate", WORLD)
-    for cluster in shown:
-        at_candidate(rec, cluster.id)
-        label = f"candidate {cluster.id}"
-        rec.log(
-            "cluster/candidate",
-            rr.Points3D([cluster.position], colors=palette.MARK, radii=-6.0, labels=label),
-        )
+    if not shown:
+        return
+    mark = rr.Points3D.from_fields(colors=palette.MARK, radii=-6.0)
+    rec.log("cluster/candidate", rr.CoordinateFrame(WORLD), mark, static=True)
+    rec.send_columns(
+        "cluster/candidate",
+        indexes=[rr.TimeColumn("candidate", sequence=[candidate_step(c.id) for c in shown])],
+        columns=rr.Points3D.columns(
+            positions=positions, labels=[f"candidate {c.id}" for c in shown]
+        ),
+    )
 
 
 def _summary(clusters: Sequence[Cluster]) -> str:

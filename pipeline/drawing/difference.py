@@ -6,19 +6,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
 from spinpipe.pipeline.config import RunConfig
 from spinpipe.pipeline.drawing import palette
+from spinpipe.pipeline.drawing.boxes import boxes_of
 from spinpipe.pipeline.drawing.drawing import WORLD, Reader, put
 from spinpipe.pipeline.drawing.eye import scene_corners, scene_eye
 from spinpipe.pipeline.drawing.preview import preview
 from spinpipe.pipeline.drawing.recording import close_recording, open_recording
 from spinpipe.schemas import CLOUD, TILES, UPRIGHT
 from spinpipe.schemas.records import Detection
-from spinpipe.stages.geometry.frames import heading_quaternion, to_world
+from spinpipe.stages.geometry.frames import to_world
 
 COLOURS = {
     "gained": palette.ACCEPTED,
@@ -78,12 +78,11 @@ def record_difference(
 
 
 def _boxes(detections: Sequence[Detection], colour: palette.Colour, radius: float) -> rr.Boxes3D:
-    size = np.array([d.size_m for d in detections]).reshape(-1, 3)
-    base = np.array([d.position_world for d in detections]).reshape(-1, 3)
+    boxes = boxes_of(detections)
     return rr.Boxes3D(
-        centers=base + size * (0, 0, 0.5),
-        half_sizes=size / 2,
-        quaternions=heading_quaternion([d.heading_deg for d in detections]),
+        centers=boxes.centers,
+        half_sizes=boxes.sizes / 2,
+        quaternions=boxes.quaternions,
         colors=colour,
         radii=radius,
         labels=[f"{d.id} {d.model}" for d in detections],

@@ -15,7 +15,6 @@ from typing import Protocol, TypeVar
 
 import rerun as rr
 
-from spinpipe.pipeline.drawing.timelines import candidate_step
 from spinpipe.schemas.records import Upright
 from spinpipe.schemas.topics import Topic
 from spinpipe.stages import STAGES
@@ -70,12 +69,6 @@ def at_stages(rec: rr.RecordingStream, path: str, first: str, last: str) -> None
     rec.set_time("stage", sequence=STAGE_NUMBER[last] + 1)
     rec.log(path, rr.Clear(recursive=True))
     rec.set_time("stage", sequence=STAGE_NUMBER[first])
-
-
-def at_candidate(rec: rr.RecordingStream, candidate: int) -> None:
-    """Log what follows for one candidate."""
-    rec.reset_time()
-    rec.set_time("candidate", sequence=candidate_step(candidate))
 
 
 def place(rec: rr.RecordingStream, path: str, frame: str) -> None:

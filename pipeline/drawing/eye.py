@@ -105,7 +105,7 @@ def label_rows(read: Reader, places: F64) -> I64:
 def object_eye(models: Sequence[ObjectModel], places: F64) -> Eye:
     """Look at models that stand at ``places`` along y from ahead, aside and above."""
     size = diagonal(models, float(np.ptp(places)) if len(places) else 0.0)
-    return Eye(np.array([0.62, -0.85, 0.72]) * size, np.array([0.0, 0.0, 0.1]) * size)
+    return Eye(np.array([0.72, -1.0, 0.84]) * size, np.array([0.0, 0.0, 0.1]) * size)
 
 
 def diagonal(models: Sequence[ObjectModel], extra: float = 0.0) -> float:

@@ -25,7 +25,7 @@ from spinpipe.pipeline.drawing.model import (
 from spinpipe.pipeline.drawing.timelines import STEPS_A_CANDIDATE, candidate_step
 from spinpipe.schemas.arrays import F32, F64
 from spinpipe.schemas.records import Detection, FitTrace, ObjectModel
-from spinpipe.stages.geometry.frames import heading_quaternion
+from spinpipe.stages.geometry.frames import rotation_quaternion
 
 
 class Fit(NamedTuple):
@@ -74,7 +74,7 @@ def draw_pose(
         "frames/candidate",
         rr.Transform3D(
             translation=detection.position_world,
-            quaternion=rr.Quaternion(xyzw=heading_quaternion(detection.heading_deg)),
+            quaternion=rr.Quaternion(xyzw=rotation_quaternion(detection.T_world_object)),
             child_frame=CANDIDATE,
             parent_frame=WORLD,
         ),
@@ -100,7 +100,7 @@ def draw_fits(
         indexes=first_steps(fits),
         columns=rr.Transform3D.columns(
             translation=[fit.detection.position_world for fit in fits],
-            quaternion=heading_quaternion([fit.detection.heading_deg for fit in fits]),
+            quaternion=rotation_quaternion(np.array([fit.poses[0] for fit in fits])),
             child_frame=[CANDIDATE] * len(fits),
             parent_frame=[WORLD] * len(fits),
         ),
@@ -132,12 +132,14 @@ def _draw_model(rec: rr.RecordingStream, fits: Sequence[Fit], model: ObjectModel
             rows += list(zip(fit.steps, poses, strict=False))
         shown = mine
     steps, poses = zip(*rows, strict=True)
-    T = np.array(poses, np.float32)
-    rec.send_columns(
-        path,
-        indexes=[rr.TimeColumn("candidate", sequence=steps)],
-        columns=rr.InstancePoses3D.columns(translations=T[:, :3, 3], mat3x3=T[:, :3, :3]),
+    T = np.array(poses)
+    scales = np.linalg.norm(T[:, :3, :3], axis=1)
+    T[~scales.any(axis=1)] = np.eye(4)
+    # many times faster than as matrices, which the SDK packs one by one
+    columns = rr.InstancePoses3D.columns(
+        translations=T[:, :3, 3], quaternions=rotation_quaternion(T), scales=scales
     )
+    rec.send_columns(path, indexes=[rr.TimeColumn("candidate", sequence=steps)], columns=columns)
 
 
 def draw_rms(rec: rr.RecordingStream, fits: Sequence[Fit]) -> None:

@@ -9,34 +9,23 @@ from collections.abc import Sequence
 from spinpipe.pipeline.drawing import palette
 from spinpipe.schemas.records import Detection
 
-BAR = 16
-"""Characters of a full bar."""
 NOTED = 80
 
 
 def candidate_text(d: Detection) -> str:
-    """Why a candidate won or lost: its parts as bars against those of a right instance."""
+    """Why a candidate won or lost: the reason and its numbers."""
     x, y, z = d.position_scene
+    fate = f"duplicate of {d.duplicate_of}" if d.fate == "duplicate" else d.fate
     lines = [
-        f"## Candidate {d.id}: {d.model} {d.fate}",
-        f"**{d.reason}**",
+        f"## Candidate {d.id}: {d.model} {fate}",
+        f"**{d.reason}**" + (f" (cause: {d.cause})" if d.cause else ""),
         "",
-        f"x_scene {x:.2f}, y_scene {y:.2f}, z_scene {z:.2f}; heading_world {d.heading_deg:.0f}°",
-        "",
-        "| part | | of |",
-        "|---|---|---|",
+        f"x_scene {x:.2f}, y_scene {y:.2f}, z_scene {z:.2f}; heading_world {d.heading_deg:.0f}°, "
+        f"leaning {d.tilt_deg:.0f}°",
     ]
-    for part in d.parts:
-        right = getattr(part, "reference", None)
-        share = part.value / right if right else part.value
-        filled = round(BAR * min(max(share, 0.0), 1.0))
-        text = f"{part.value:.2f}" + ("" if right is None else f" of {right:.2f}")
-        merit = getattr(part, "merit", None)
-        text += "" if merit is None else f", {merit:+.1f}"
-        lines.append(f"| {part.name} | `{'█' * filled}{'·' * (BAR - filled)}` | {text} |")
     rival = f"{d.runner_up_rms_m:.3f} m at {d.runner_up_heading_deg:.0f}°"
     numbers = [
-        ("score", f"{d.score:.3f}"),
+        ("score", f"{d.score:.3f}, needs {d.min_score:g}; log odds {d.log_odds:+.1f}"),
         ("correlation", f"{d.correlation:.3f}"),
         ("residual", f"{d.rms_m:.3f} m, {d.inliers} points"),
         ("runner-up", rival if math.isfinite(d.runner_up_rms_m) else "none"),
@@ -48,7 +37,10 @@ def candidate_text(d: Detection) -> str:
         numbers.append(("next best model", f"{d.alternative}, {d.alternative_margin:.2f} behind"))
     lines += ["", "| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in numbers)]
     lines += ["", "Points: blue explained, orange not, grey ground. ", ""]
-    lines += ["Surface: green seen, red contradicted, grey not observed."]
+    lines += ["Surface: green seen, red contradicted, grey not observed.", ""]
+    lines += [
+        "Bars: a part; white mark: of a right instance; number: what it adds to the log odds."
+    ]
     return "\n".join(lines)
 
 

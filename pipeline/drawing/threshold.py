@@ -9,13 +9,13 @@ import numpy as np
 import rerun as rr
 
 from spinpipe.pipeline.drawing import palette
+from spinpipe.pipeline.drawing.boxes import boxes_of
 from spinpipe.pipeline.drawing.drawing import WORLD, Reader, place
 from spinpipe.pipeline.drawing.preview import preview_rows
-from spinpipe.pipeline.drawing.timelines import THRESHOLD_STEPS, threshold_step
+from spinpipe.pipeline.drawing.timelines import THRESHOLD_STEPS, threshold_steps
 from spinpipe.schemas import CLUSTERS, HITS
-from spinpipe.schemas.arrays import F32, F64, U8
+from spinpipe.schemas.arrays import F32, F64, I64, U8
 from spinpipe.schemas.records import Detection
-from spinpipe.stages.geometry.frames import heading_quaternion
 
 ROOT = "threshold"
 FOUND, FALSE, MISSED = palette.ACCEPTED, palette.UNEXPLAINED, palette.HIT
@@ -52,7 +52,7 @@ def draw_threshold(
         values.append(group.correlation[rows])
     _hits(rec, np.concatenate(points), np.concatenate(values))
     clusters = read(CLUSTERS)
-    at = [threshold_step(c.correlation) for c in clusters]
+    at = threshold_steps([c.correlation for c in clusters])
     _marks(rec, "candidates", at, np.array([c.position for c in clusters]).reshape(-1, 3))
     _detections(rec, detections, truth)
     if truth is not None and len(truth.missed):
@@ -62,7 +62,7 @@ def draw_threshold(
 
 
 def _hits(rec: rr.RecordingStream, xyz: F32, correlation: F32) -> None:
-    steps = np.array([threshold_step(float(c)) for c in correlation], np.int64)
+    steps = threshold_steps(correlation)
     order = np.argsort(steps, kind="stable")
     which, counts = np.unique(steps[order], return_counts=True)
     if not len(which):
@@ -72,9 +72,9 @@ def _hits(rec: rr.RecordingStream, xyz: F32, correlation: F32) -> None:
     rec.send_columns(f"{ROOT}/hits", indexes=index, columns=columns.partition(counts))
 
 
-def _marks(rec: rr.RecordingStream, name: str, at: Sequence[int], xyz: F64) -> None:
+def _marks(rec: rr.RecordingStream, name: str, at: I64, xyz: F64) -> None:
     order = np.argsort(at, kind="stable")
-    which, counts = np.unique(np.asarray(at, np.int64), return_counts=True)
+    which, counts = np.unique(at, return_counts=True)
     if len(which):
         columns = rr.Points3D.columns(positions=xyz[order])
         index = [rr.TimeColumn("threshold", sequence=which)]
@@ -87,12 +87,12 @@ def _detections(
     shown = sorted((d for d in detections if d.fate != "duplicate"), key=lambda d: -d.score)
     if not shown:
         return
-    size = np.array([d.size_m for d in shown])
-    which, counts = np.unique([threshold_step(d.score) for d in shown], return_counts=True)
+    boxes = boxes_of(shown)
+    which, counts = np.unique(threshold_steps([d.score for d in shown]), return_counts=True)
     columns = rr.Boxes3D.columns(
-        centers=np.array([d.position_world for d in shown]) + size * (0, 0, 0.5),
-        half_sizes=size / 2,
-        quaternions=heading_quaternion([d.heading_deg for d in shown]),
+        centers=boxes.centers,
+        half_sizes=boxes.sizes / 2,
+        quaternions=boxes.quaternions,
         colors=np.array([_colour(d, truth) for d in shown], np.uint8),
     )
     index = [rr.TimeColumn("threshold", sequence=which)]
@@ -105,13 +105,13 @@ def _colour(d: Detection, truth: Truth | None) -> tuple[int, ...]:
     return FOUND if truth.found[d.id] else FALSE
 
 
-def _curves(rec: rr.RecordingStream, candidates: Sequence[int], found: Sequence[Detection]) -> None:
+def _curves(rec: rr.RecordingStream, candidates: I64, found: Sequence[Detection]) -> None:
     """How many candidates and detections there are at each step."""
     steps = np.arange(THRESHOLD_STEPS + 1)
-    scores = [threshold_step(d.score) for d in found if d.fate != "duplicate"]
-    kept = [threshold_step(d.score) for d in found if d.fate == "accepted"]
+    scores = threshold_steps([d.score for d in found if d.fate != "duplicate"])
+    kept = threshold_steps([d.score for d in found if d.fate == "accepted"])
     rows = [
-        np.searchsorted(np.sort(np.asarray(values, np.int64)), steps, side="right")
+        np.searchsorted(np.sort(values), steps, side="right")
         for values in (candidates, scores, kept)
     ]
     names = ["candidates", "fits of this score", "accepted"]

@@ -10,6 +10,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from spinpipe.schemas.arrays import I64
+
 STEPS_A_CANDIDATE = 1000
 THRESHOLD_STEPS = 100
 
@@ -19,6 +24,7 @@ def candidate_step(candidate: int, step: int = 0) -> int:
     return STEPS_A_CANDIDATE * candidate + min(step, STEPS_A_CANDIDATE - 1)
 
 
-def threshold_step(value: float) -> int:
-    """First step of the timeline ``threshold`` at which something of this value shows."""
-    return round(THRESHOLD_STEPS * (1.0 - min(max(value, 0.0), 1.0)))
+def threshold_steps(values: ArrayLike) -> I64:
+    """First steps (N,) of the timeline ``threshold`` at which things of values (N,) show."""
+    falling = 1.0 - np.clip(np.asarray(values, np.float64), 0.0, 1.0)
+    return np.round(THRESHOLD_STEPS * falling).astype(np.int64)

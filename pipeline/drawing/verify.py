@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import rerun as rr
 
 from spinpipe.pipeline.drawing import palette
-from spinpipe.pipeline.drawing.candidates import draw_candidates
+from spinpipe.pipeline.drawing.boxes import boxes_of
+from spinpipe.pipeline.drawing.candidates import draw_candidates, worth_a_look
 from spinpipe.pipeline.drawing.drawing import NOTES, WORLD, Reader, at_stage, note, put
 from spinpipe.pipeline.drawing.eye import label_rows
 from spinpipe.pipeline.drawing.fits import (
@@ -19,13 +20,10 @@ from spinpipe.pipeline.drawing.fits import (
     first_steps,
     order_fits,
 )
-from spinpipe.pipeline.drawing.model import model_bounds
 from spinpipe.pipeline.drawing.texts import candidate_text, outcome_text
 from spinpipe.pipeline.drawing.threshold import Truth, draw_threshold
 from spinpipe.schemas import DETECTIONS, MODELS, TRACES
-from spinpipe.schemas.arrays import F64
-from spinpipe.schemas.records import Detection, ObjectModel
-from spinpipe.stages.geometry.frames import heading_quaternion, yaw_matrix
+from spinpipe.schemas.records import Detection
 
 _LEDGER = (
     *("fate", "score", "model", "reason", "correlation", "rms_m", "coverage_model"),
@@ -44,17 +42,19 @@ def draw(
     at_stage(rec, "verify")
     for fate in palette.FATES:
         group = [d for d in detections if d.fate == fate][:preview_points]
-        _draw_boxes(rec, fate, group, models)
+        _draw_boxes(rec, fate, group)
     _draw_labels(read, rec, detections)
     note(rec, outcome_text(detections))
     if not detections:
         return
     draw_pose(rec, max(detections, key=lambda d: (d.fate == "accepted", d.score)), models)
     _draw_ledger(rec, detections)
-    fits = order_fits(detections, read(TRACES))
+    ranked = worth_a_look(detections)
+    close = {d.cluster for d in ranked}
+    fits = order_fits(detections, [trace for trace in read(TRACES) if trace.cluster in close])
     draw_rms(rec, fits)
     draw_fits(rec, fits, models)
-    draw_candidates(read, rec, detections, preview_points)
+    draw_candidates(read, rec, ranked, preview_points)
     rec.send_columns(
         NOTES,
         indexes=first_steps(fits),
@@ -66,23 +66,17 @@ def draw(
     draw_threshold(read, rec, detections, preview_points, truth)
 
 
-def _draw_boxes(
-    rec: rr.RecordingStream,
-    fate: str,
-    detections: Sequence[Detection],
-    models: Mapping[str, ObjectModel],
-) -> None:
+def _draw_boxes(rec: rr.RecordingStream, fate: str, detections: Sequence[Detection]) -> None:
     kept = fate in palette.KEPT
-    sizes = np.array([_size(d, models) for d in detections]).reshape(-1, 3)
-    base = np.array([d.position_world for d in detections]).reshape(-1, 3)
+    boxes = boxes_of(detections)
     put(
         rec,
         f"verify/{fate}",
         rr.Boxes3D(
-            centers=base + sizes * (0, 0, 0.5),
+            centers=boxes.centers,
             # a rejected box often has an accepted one at its very place: stay inside of that
-            half_sizes=sizes / 2 * (1.0 if kept else 0.97),
-            quaternions=heading_quaternion([d.heading_deg for d in detections]),
+            half_sizes=boxes.sizes / 2 * (1.0 if kept else 0.97),
+            quaternions=boxes.quaternions,
             colors=palette.FATES[fate],
             radii=-1.2 if kept else -0.5,
             fill_mode="MajorWireframe",
@@ -93,13 +87,12 @@ def _draw_boxes(
     )
     if not kept:
         return
-    forward = np.array([yaw_matrix(d.heading_deg)[:3, 0] for d in detections]).reshape(-1, 3)
     put(
         rec,
         f"verify/{fate}/heading",
         rr.Arrows3D(
-            origins=base + sizes * (0, 0, 1),
-            vectors=forward * sizes[:, :1] * 0.7,
+            origins=boxes.tops,
+            vectors=boxes.forward * boxes.sizes[:, :1] * 0.7,
             colors=palette.FATES[fate],
             radii=-1.2,
         ),
@@ -111,7 +104,7 @@ def _draw_labels(read: Reader, rec: rr.RecordingStream, detections: Sequence[Det
     """Ids above the kept ones, as many as fit side by side as the scene is first seen."""
     kept = sorted((d for d in detections if d.fate in palette.KEPT), key=lambda d: -d.score)
     kept.sort(key=lambda d: palette.rank(d.fate))
-    tops = np.array([np.add(d.position_world, (0, 0, d.size_m[2])) for d in kept]).reshape(-1, 3)
+    tops = boxes_of(kept).tops
     rows = label_rows(read, tops)
     shape = rr.Points3D(
         tops[rows],
@@ -121,12 +114,6 @@ def _draw_labels(read: Reader, rec: rr.RecordingStream, detections: Sequence[Det
         show_labels=True,
     )
     put(rec, "verify/labels", shape, WORLD)
-
-
-def _size(detection: Detection, models: Mapping[str, ObjectModel]) -> F64:
-    size = np.array(detection.size_m, np.float64)
-    model = models.get(detection.model)
-    return np.diff(model_bounds(model), axis=0)[0] if model and not size.any() else size
 
 
 def _draw_ledger(rec: rr.RecordingStream, detections: Sequence[Detection]) -> None:

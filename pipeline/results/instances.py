@@ -11,7 +11,7 @@ import numpy as np
 from spinpipe.schemas.arrays import F64, I32
 from spinpipe.schemas.records import Detection, ObjectModel
 from spinpipe.schemas.topics import Topic
-from spinpipe.stages.geometry.frames import heading_quaternion, inverse
+from spinpipe.stages.geometry.frames import inverse, rotation_quaternion
 
 T = TypeVar("T")
 
@@ -86,7 +86,7 @@ def entry(d: Detection, models: Mapping[str, ObjectModel]) -> dict[str, Any]:
         if field.name not in _RENAMED
     }
     values["heading_scene_deg"] = heading_scene_deg(T_scene_object(d, models))
-    values["quaternion_xyzw"] = tuple(heading_quaternion(d.heading_deg).tolist())
+    values["quaternion_xyzw"] = tuple(rotation_quaternion(d.T_world_object).tolist())
     values["parts"] = {part.name: part.value for part in d.parts}
     if d.parts and len(dataclasses.fields(d.parts[0])) > 2:
         values["evidence"] = d.parts

@@ -22,6 +22,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from mcap_protobuf.writer import Writer
 
 from spinpipe.pipeline.drawing import palette
+from spinpipe.pipeline.drawing.boxes import boxes_of
 from spinpipe.pipeline.drawing.candidates import SIGHT_COLOURS, WHAT_COLOURS
 from spinpipe.pipeline.drawing.closeup import Closeup, closeups
 from spinpipe.pipeline.drawing.preview import preview
@@ -32,7 +33,7 @@ from spinpipe.schemas.arrays import F32
 from spinpipe.schemas.foxglove_codec import encode_calibration, encode_cameras, point_cloud
 from spinpipe.schemas.records import Detection
 from spinpipe.stages import STAGES
-from spinpipe.stages.geometry.frames import heading_quaternion, to_world
+from spinpipe.stages.geometry.frames import rotation_quaternion, to_world
 
 SECOND_NS = 1_000_000_000
 STAGE_S, CANDIDATE_S = 10, 1
@@ -106,7 +107,7 @@ class _Story:
 
 def _tell_candidate(story: _Story, look: Closeup) -> None:
     d = look.detection
-    turn = heading_quaternion(d.heading_deg).tolist()
+    turn = rotation_quaternion(d.T_world_object).tolist()
     story.tell("/tf", _transform("candidate", turn, d.position_world))
     what, sight = WHAT_COLOURS[look.what], SIGHT_COLOURS[look.sight]
     story.tell("/candidate/points", point_cloud("candidate", look.xyz, what))
@@ -140,14 +141,15 @@ def _plain_cloud(frame: str, xyz: F32, colour: palette.Colour) -> PointCloud:
 def _boxes(detections: Sequence[Detection], *, chosen: bool = False) -> SceneUpdate:
     """A cube, an arrow ahead and a label for each; the numbers as metadata."""
     update = SceneUpdate()
-    for d in detections:
+    boxes = boxes_of(detections)
+    for d, centre, top, turn in zip(
+        detections, boxes.centers, boxes.tops, boxes.quaternions, strict=True
+    ):
         entity = update.entities.add(frame_id="world", id="chosen" if chosen else str(d.id))
         red, green, blue = (c / 255 for c in palette.fate_colour(d.fate)[:3])
-        turn, (x, y, z) = heading_quaternion(d.heading_deg), d.position_world
         cube = entity.cubes.add()
-        cube.pose.position.x, cube.pose.position.y = x, y
-        cube.pose.position.z = z + d.size_m[2] / 2
-        o = cube.pose.orientation
+        place, o = cube.pose.position, cube.pose.orientation
+        place.x, place.y, place.z = centre
         o.x, o.y, o.z, o.w = turn
         cube.size.x, cube.size.y, cube.size.z = d.size_m
         c = cube.color
@@ -160,7 +162,8 @@ def _boxes(detections: Sequence[Detection], *, chosen: bool = False) -> SceneUpd
                 head_diameter=0.2 * d.size_m[1],
             )
             arrow.pose.CopyFrom(cube.pose)
-            arrow.pose.position.z = z + d.size_m[2]
+            place = arrow.pose.position
+            place.x, place.y, place.z = top
             arrow.color.r, arrow.color.g, arrow.color.b, arrow.color.a = red, green, blue, 1.0
             label = entity.texts.add(
                 text=f"{d.id} {d.model} {d.score:.2f}",

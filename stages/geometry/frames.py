@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from spinpipe.schemas.arrays import F32, F64
 from spinpipe.schemas.records import SceneFrame, Upright, Vector
@@ -64,6 +65,14 @@ def heading_quaternion(heading_deg: ArrayLike) -> F64:
     half = np.radians(np.asarray(heading_deg, np.float64)) / 2.0
     zero = np.zeros_like(half)
     return np.stack([zero, zero, np.sin(half), np.cos(half)], axis=-1)
+
+
+def rotation_quaternion(T: NDArray[Any]) -> F64:
+    """(..., 4) rotation x y z w of transforms (..., 4, 4) that may stretch along their own axes."""
+    axes = np.asarray(T, np.float64)[..., :3, :3]
+    axes = axes / np.linalg.norm(axes, axis=-2, keepdims=True)
+    turns = Rotation.from_matrix(axes.reshape(-1, 3, 3)).as_quat(canonical=True)
+    return turns.reshape(*axes.shape[:-2], 4)
 
 
 def heading_deg(T_world_object: F64) -> float:

@@ -16,8 +16,10 @@ from spinpipe.stages.verify.candidates import Candidates
 from spinpipe.stages.verify.decide.decision import decide
 from spinpipe.stages.verify.decide.verdict import Rules, T_world_object, Verdict
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
+from spinpipe.stages.verify.judge.examiner import Examiner
 from spinpipe.stages.verify.judge.hypotheses import Course
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
+from spinpipe.stages.verify.judge.scoring import merits
 from spinpipe.stages.verify.judge.search import MapBlocks, Search
 from spinpipe.stages.verify.model.field import ModelField, build_model_field
 from spinpipe.stages.verify.model.known_object import KnownObject
@@ -44,7 +46,7 @@ def verify_by_evidence(
     rng : draws the surface of mesh models.
     threads : of the kernels; never changes a result.
     map_blocks : maps a function over blocks of candidates, in order.
-    advance : told how many more candidates are looked at.
+    advance : told how many more candidates are looked at, each of them twice.
     log : told what was measured.
     """
     if not candidates.clusters:
@@ -68,7 +70,10 @@ def verify_by_evidence(
         cluster = clusters[verdict.candidate]
         rivals = found.table.rows(rows_of[verdict.candidate])
         course = found.courses.get(verdict.candidate)
-        yield _detection(candidates, verdict), _trace(cluster, verdict, rivals, course)
+        yield (
+            _detection(candidates, verdict, found.examiner, rules),
+            _trace(cluster, verdict, rivals, course),
+        )
 
 
 def _field(model: tuple[ObjectModel, tuple[F64, F64]]) -> ModelField:
@@ -76,7 +81,9 @@ def _field(model: tuple[ObjectModel, tuple[F64, F64]]) -> ModelField:
     return build_model_field(known.name, points, normals)
 
 
-def _detection(candidates: Candidates, verdict: Verdict) -> Detection:
+def _detection(
+    candidates: Candidates, verdict: Verdict, examiner: Examiner, rules: Rules
+) -> Detection:
     clusters, model = candidates.clusters, candidates.models[verdict.model]
     cluster = clusters[verdict.candidate]
     pose = T_world_object(verdict.pose, verdict.lean)
@@ -106,14 +113,26 @@ def _detection(candidates: Candidates, verdict: Verdict) -> Detection:
         coverage_scene=evidence.get("explained", 0.0) / claimed if claimed > 0 else 0.0,
         observed=min(verdict.observed, 1.0),
         score=verdict.score,
-        parts=tuple(Part(name, value) for name, value in verdict.parts.items()),
+        parts=_parts(verdict, examiner.reference[verdict.model]),
         size_m=vector(verdict.size_m),
         alternative=other,
         alternative_margin=verdict.alternative_margin,
         duplicate_of=clusters[verdict.duplicate_of].id if verdict.duplicate_of >= 0 else -1,
         log_odds=verdict.odds,
         tilt_deg=math.degrees(math.atan(math.hypot(*verdict.lean))),
+        gate_m=examiner.limits[verdict.model].gate_m,
+        sharp_m=examiner.limits[verdict.model].sharp_m,
+        min_score=rules.min_score,
     )
+
+
+def _parts(verdict: Verdict, reference: F64) -> tuple[Part, ...]:
+    """The parts of a verdict beside what a right instance gets (len(PARTS),)."""
+    if not verdict.parts:
+        return ()
+    values = np.array(list(verdict.parts.values()))
+    rows = zip(verdict.parts, values, reference, merits(values[None], reference)[0], strict=True)
+    return tuple(Part(name, float(v), float(r), float(m)) for name, v, r, m in rows)
 
 
 def _trace(

@@ -22,13 +22,16 @@ from spinpipe.schemas import (
     UPRIGHT,
 )
 from spinpipe.schemas.records import Detection, FitTrace, InstancePoses
-from spinpipe.stages.geometry.frames import heading_quaternion, inverse, world_from_scene
+from spinpipe.stages.geometry.frames import inverse, rotation_quaternion, world_from_scene
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.stage import Context, Progress, Section
 from spinpipe.stages.verify.by_evidence import verify_by_evidence
 from spinpipe.stages.verify.candidates import Candidates
 from spinpipe.stages.verify.decide.verdict import Rules
 from spinpipe.stages.verify.icp.verification import IcpRules, verify_by_residual
+
+LOOKS = 2
+"""At each candidate, by evidence: see ``judge.search``."""
 
 
 class Evidence(Section):
@@ -92,7 +95,8 @@ class Verify:
             cloud=WorldCloud.of(ctx.read(CLOUD), ctx.read_one(TILES), upright),
             T_scene_world=inverse(world_from_scene(ctx.read_one(SCENE), upright)),
         )
-        progress = ctx.progress("candidates", len(candidates.clusters))
+        looks = LOOKS if ctx.config.method == "evidence" else 1
+        progress = ctx.progress("candidates", looks * len(candidates.clusters))
         detections: list[Detection] = []
         for detection, trace in _verified(candidates, ctx, progress):
             if trace is not None:
@@ -102,8 +106,8 @@ class Verify:
             ctx.write(DETECTIONS, detection)
         accepted = [d for d in detections if d.fate == "accepted"]
         positions = np.array([d.position_world for d in accepted]).reshape(-1, 3)
-        headings = heading_quaternion([d.heading_deg for d in accepted])
-        ctx.write(INSTANCES, InstancePoses(positions, headings))
+        poses = np.array([d.T_world_object for d in accepted]).reshape(-1, 4, 4)
+        ctx.write(INSTANCES, InstancePoses(positions, rotation_quaternion(poses)))
         ctx.log(f"{len(accepted)} of {len(detections)} candidates accepted")
 
 

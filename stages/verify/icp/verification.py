@@ -160,6 +160,8 @@ class _Judge:
             observed=1.0,
             score=max(0.0, 1.0 - rms_m / (2.0 * self._max_rms_m)),
             size_m=vector(model.size),
+            gate_m=self._max_rms_m,
+            sharp_m=self._max_rms_m,
         )
 
     def _decide(self, rms_m: float) -> tuple[str, str, str]:

@@ -77,7 +77,7 @@ class Search:
         ----------
         error_m : of the surfaces of instances; None: measured on what a look at all finds.
         map_blocks : maps a function over blocks of candidates, in order.
-        advance : told how many more candidates are looked at.
+        advance : told how many more candidates are looked at, each of them twice.
         """
         most = [greatest_error_m(o.field) for o in self.objects]
         examiner = Examiner(self.objects, self.sampling, most)
@@ -101,6 +101,7 @@ class Search:
         for (rows, _), seen in zip(jobs, examined, strict=True):
             tables.append(replace(seen.table, candidate=rows[seen.table.candidate]))
             courses |= {int(rows[k]): course for k, course in seen.courses.items()}
+            advance(len(rows))
         return Found(examiner, Hypotheses.joined(tables), courses)
 
     def _by_block(

@@ -15,10 +15,12 @@ import pyarrow as pa
 import pytest
 import rerun as rr
 from rerun.chunk import Chunk, RrdReader
+from scipy.spatial.transform import Rotation
 
 from spinpipe.pipeline.drawing import palette
 from spinpipe.pipeline.drawing.draw import DRAW
 from spinpipe.pipeline.drawing.drawing import STAGE_NUMBER
+from spinpipe.pipeline.drawing.parts import LENGTH
 from spinpipe.pipeline.drawing.recording import (
     close_recording,
     find_viewer,
@@ -126,7 +128,9 @@ def make_detection(number: int, model: str, fate: str) -> Detection:
         coverage_scene=0.6,
         observed=0.9,
         score=0.5 + 0.1 * number,
-        parts=(Part("below ground", 0.01),),
+        parts=(Part("residual", 0.25, 0.8, -3.5), Part("model", 0.9, 0.9, 0.0)),
+        gate_m=0.2,
+        sharp_m=0.1,
         alternative="van",
         alternative_margin=0.2,
         size_m=(4.0, 2.0, 1.5),
@@ -354,6 +358,37 @@ def test_every_candidate_has_its_surroundings_explained(recording: Path) -> None
     outline = chunks(recording, "/candidate/runner_up", static=False)
     sizes = np.array(column(outline, "Boxes3D:half_sizes")[-3:])
     assert sizes.shape == (3, 1, 3)
+
+
+def test_parts_stand_beside_those_of_a_right_instance(recording: Path) -> None:
+    bars = column(chunks(recording, "/candidate/parts/bars"), "LineStrips2D:strips")
+    track, bar, mark = np.array(bars[-1])[:3]
+    assert track[:, 0].tolist() == [0, LENGTH]
+    assert bar[:, 0] / LENGTH == pytest.approx([0, 0.25])
+    assert mark[:, 0] / LENGTH == pytest.approx([0.8, 0.8])
+    labels = column(chunks(recording, "/candidate/parts/text"), "Points2D:labels")[-1]
+    assert labels == [
+        *("residual", "0.25 / 0.80  -3.5", "model", "0.90 / 0.90  +0.0"),
+        *("score", "0.70, needs 0.5"),
+    ]
+
+
+def test_what_leans_is_drawn_leaning(tmp_path: Path) -> None:
+    turn = Rotation.from_euler("zy", [40, 20], degrees=True)
+    T = np.eye(4)
+    T[:3, :3] = turn.as_matrix() * (1.1, 0.9, 1.0)
+    leaning = replace(make_detection(0, "saloon", "accepted"), T_world_object=T)
+    path = draw(tmp_path / "run.rrd", make_run().with_messages(DETECTIONS, [leaning]))
+    for entity, turns, centres in (
+        ("/verify/accepted", "Boxes3D:quaternions", "Boxes3D:centers"),
+        ("/threshold/detections", "Boxes3D:quaternions", "Boxes3D:centers"),
+    ):
+        found = chunks(path, entity, static=False)
+        assert Rotation.from_quat(column(found, turns)[-1][0]).approx_equal(turn, atol=1e-5)
+        expected = leaning.position_world + turn.apply([0, 0, 0.75])
+        np.testing.assert_allclose(column(found, centres)[-1][0], expected, atol=1e-6)
+    frame = column(chunks(path, "/frames/candidate"), "Transform3D:quaternion")[-1]
+    assert Rotation.from_quat(frame[0]).approx_equal(turn, atol=1e-5)
 
 
 def test_own_spin_image_stands_beside_the_model_s(recording: Path) -> None:

@@ -11,8 +11,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from spinpipe.pipeline.mcap_file import (
+    EPOCH_NS,
     DamagedFileError,
     Messages,
     StageFileWriter,
@@ -80,6 +82,28 @@ def test_metadata_can_be_read_back(file: Path) -> None:
     assert read_metadata(file, "stage") == {"stage": "scan", "key": "k1"}
     assert read_metadata(file, "result") == {"seconds": "1.5"}
     assert read_metadata(file, "nothing") == {}
+
+
+def test_a_record_stands_a_second_after_the_one_before(tmp_path: Path) -> None:
+    writer = StageFileWriter(tmp_path / "a.mcap", {}, number=3)
+    for number in range(3):
+        writer.write(HITS, hits(number))
+    writer.write(CLUSTERS, cluster(7))
+    writer.close({})
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        found = [(c.topic, m.log_time) for _, c, m in make_reader(stream).iter_messages()]
+    seconds = {(topic, (time - EPOCH_NS) / 1e9) for topic, time in found}
+    assert seconds == {(HITS.name, 30), (HITS.name, 31), (HITS.name, 32), (CLUSTERS.name, 30)}
+
+
+def test_a_file_of_an_older_format_is_refused(tmp_path: Path) -> None:
+    with (tmp_path / "old.mcap").open("wb") as stream:  # as it was written before
+        old = Writer(stream, enable_data_crcs=True)
+        old.start(profile="", library="spinpipe")
+        old.add_metadata("topics", {HITS.name: "[0, 3]"})
+        old.finish()
+    with pytest.raises(DamagedFileError, match=r"old\.mcap was not written by this version"):
+        Messages(tmp_path / "old.mcap", HITS)
 
 
 def test_equal_messages_make_equal_bytes(file: Path, tmp_path: Path) -> None:

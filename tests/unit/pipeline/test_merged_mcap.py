@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from scipy.spatial.transform import Rotation
 
 from spinpipe.pipeline.drawing.recording import find_viewer
 
@@ -49,8 +50,11 @@ def test_everything_is_foxglove_s_and_drawn(merged: Path, finished_yard: YardRun
     for entity in update.entities:
         d = by_id[int(entity.id)]
         cube = entity.cubes[0]
-        place = [cube.pose.position.x, cube.pose.position.y]
-        np.testing.assert_allclose(place, d["position_world"][:2], atol=1e-9)
+        place, o = cube.pose.position, cube.pose.orientation
+        turn = Rotation.from_quat([o.x, o.y, o.z, o.w])
+        assert turn.approx_equal(Rotation.from_quat(d["quaternion_xyzw"]), atol=1e-9)
+        base = [place.x, place.y, place.z] - turn.apply([0, 0, d["size_m"][2] / 2])
+        np.testing.assert_allclose(base, d["position_world"], atol=1e-9)
         np.testing.assert_allclose([cube.size.x, cube.size.y, cube.size.z], d["size_m"])
         assert {m.key: m.value for m in entity.metadata}["reason"] == d["reason"]
         assert bool(entity.texts) == (d["fate"] in ("accepted", "ambiguous"))

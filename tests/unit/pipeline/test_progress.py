@@ -36,6 +36,22 @@ def test_compilation_is_announced_once_a_stage() -> None:
     assert said.getvalue().count("compiling kernels") == 1
 
 
+def test_compilation_is_counted_kernel_by_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(progress, "PLAIN_INTERVAL_S", 0.005)
+    said = io.StringIO()
+
+    def doubled(x: float) -> float:
+        return 2 * x
+
+    with progress.stage_progress(Console(file=said), "scan") as bars:
+        bars.start("tiles", 3)
+        njit(doubled)(1.0)
+        time.sleep(0.05)
+    lines = said.getvalue().splitlines()
+    assert any("; compiling kernel 1, doubled; tiles 0%" in line for line in lines)
+    assert "compiling" not in lines[-1]
+
+
 def test_nothing_is_said_about_a_quiet_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "PLAIN_INTERVAL_S", 0.02)
     said = io.StringIO()
