@@ -14,7 +14,6 @@ Records (``Detection``, ``ObjectModel``, ...) are those of ``spinpipe.schemas.re
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -27,6 +26,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from spinpipe import schemas
+from spinpipe.pipeline.atomic import scratch_folder
 from spinpipe.pipeline.config import RunConfig, load_config
 from spinpipe.pipeline.context import RunReader, thread_count
 from spinpipe.pipeline.engine import open_engine
@@ -190,8 +190,7 @@ def find(
     ConfigError, StageError
         As on the command line: one sentence that says what to do.
     """
-    with tempfile.TemporaryDirectory(prefix="spinpipe-") as name:
-        place = Path(name)
+    with scratch_folder() as place:
         rgb = None if colors is None else np.asarray(colors, np.uint8)
         write_ply(place / "scene.ply", cloud_rows(np.asarray(points, np.float64), rgb, "<f8"))
         document: dict[str, Any] = {key: dict(section) for key, section in config.items()}

@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 
 unfinished: set[Path] = set()
-"""What is being written just now and is worth nothing half: a signal removes it."""
+"""Files being written, worth nothing half, and folders of work: a signal removes them."""
+
+
+@contextmanager
+def scratch_folder() -> Generator[Path]:
+    """A folder for work that leaves nothing behind, however it ends."""
+    with tempfile.TemporaryDirectory(prefix="spinpipe-") as name:
+        unfinished.add(Path(name))
+        try:
+            yield Path(name)
+        finally:
+            unfinished.discard(Path(name))
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:

@@ -41,6 +41,13 @@ class ExportFormat(StrEnum):
     mcap = "mcap"
 
 
+class Role(StrEnum):
+    """What a file is looked at as."""
+
+    scene = "scene"
+    model = "model"
+
+
 class Frame(StrEnum):
     """Coordinates of labels."""
 
@@ -107,6 +114,24 @@ def plan(
     from spinpipe.pipeline.commands import plan_command
 
     plan_command(config, output, overrides or [], start, until)
+
+
+@app.command()
+def inspect(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Scenes and models.")],
+    role: Annotated[
+        Role | None,
+        typer.Option("--as", help="What they are; by default a mesh is a model, all else a scene."),
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+) -> None:
+    """Say what files hold and how a run would understand them: size, unit, up, and why.
+
+    Ends with 1 if a run would refuse one of them.
+    """
+    from spinpipe.pipeline.commands import inspect_command
+
+    inspect_command(files, role.value if role else "", json)
 
 
 @app.command()

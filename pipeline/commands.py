@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from rich.console import Console
@@ -17,6 +17,7 @@ from spinpipe.pipeline.demo import DEMO_CONFIG, EXAMPLE_FILES, write_example
 from spinpipe.pipeline.drawing.recording import RecordMode
 from spinpipe.pipeline.engine import open_engine
 from spinpipe.pipeline.init import commented_config
+from spinpipe.pipeline.inspect import Facts, inspect_file
 from spinpipe.pipeline.outputs import locked, require_new, write_new
 from spinpipe.pipeline.plan import Step, make_plan
 from spinpipe.pipeline.recorder import recorder, recording_key
@@ -25,7 +26,7 @@ from spinpipe.pipeline.results.write import results_key, write_results
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.pipeline.run_state import keys_in, require_inputs_apart, write_config
 from spinpipe.pipeline.runner import Runner, report_document
-from spinpipe.pipeline.tables import detection_table, plan_table, stage_tables
+from spinpipe.pipeline.tables import detection_table, facts_table, plan_table, stage_tables
 from spinpipe.stages import STAGES
 from spinpipe.stages.stage import StageError
 
@@ -115,6 +116,26 @@ def plan_command(
     console = Console()
     console.print(plan_table(steps))
     console.print(f"in {folder.path}/", highlight=False, soft_wrap=True)
+
+
+def inspect_command(files: list[Path], role: Literal["", "scene", "model"], as_json: bool) -> None:
+    """``spinpipe inspect``."""
+    console = Console()
+    every: list[Facts] = []
+    for path in files:
+        try:
+            facts = inspect_file(path, role, Console(stderr=True))
+        except StageError as error:
+            facts = {"path": str(path), "refused": str(error)}
+        every.append(facts)
+        if not as_json and "role" in facts:
+            console.print(facts_table(facts))
+    if as_json:
+        console.out(json.dumps({"schema": 1, "files": every}, indent=1), highlight=False)
+    refused = [facts["refused"] for facts in every if facts["refused"]]
+    if refused:
+        more = f" ({len(refused) - 1} more would be refused)" if len(refused) > 1 else ""
+        raise StageError(refused[0] + more)
 
 
 def demo_command(

@@ -137,6 +137,22 @@ def load_config(path: Path, overrides: Iterable[str] = ()) -> RunConfig:
     return _validate(raw, path)
 
 
+def scene_config(scene: Path) -> RunConfig:
+    """The sections that a scene needs by itself: nothing is looked for in it."""
+    given: dict[str, dict[str, Any]] = {"ingest": {"scene": scene}}
+    wanted = {name: section for name, section in _WHOLE.items() if name != MODEL}
+    try:
+        sections = {name: s.model_validate(given.get(name, {})) for name, s in wanted.items()}
+    except ValidationError as error:
+        raise ConfigError(f"{scene}: {_message(error.errors()[0]['msg'])}") from None
+    return RunConfig(
+        run=cast(RunSection, sections["run"]),
+        execution=cast(ExecutionSection, sections["execution"]),
+        record=cast(RecordSection, sections["record"]),
+        stages={stage.name: sections[stage.name] for stage in STAGES if stage.name in sections},
+    )
+
+
 def _backslash_hint(path: Path, error: Exception) -> str:
     """What to do about a Windows path in double quotes: TOML takes its backslashes for escapes."""
     line = re.search(r"\(at line (\d+)", str(error))
@@ -248,11 +264,15 @@ def _explain(error: ValidationError, section: str, raw: dict[str, Any]) -> str:
     help_text = f" ({description})" if description else ""
     if first["type"] == "missing":
         return f"{place} needs '{key}'{help_text}"
-    message = first["msg"].removeprefix("Value error, ")
-    message = message[0].lower() + message[1:]
+    message = _message(first["msg"])
     if not key:
         return f"{place}: {message}"
     return f"{place} {key} = {first['input']!r}: {message}{help_text}"
+
+
+def _message(text: str) -> str:
+    text = text.removeprefix("Value error, ")
+    return text[0].lower() + text[1:]
 
 
 def _unknown_key(place: str, key: str, section: str) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import os
+import shutil
 import signal
 import sys
 import threading
@@ -48,6 +49,8 @@ def _end(reader: int) -> None:
     number = os.read(reader, 1)[0]
     atomic = sys.modules.get("spinpipe.pipeline.atomic")  # to import could wait for a lock
     for path in list(getattr(atomic, "unfinished", ())):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
         path.unlink(missing_ok=True)
     cursor = _SHOW_CURSOR if os.isatty(2) else ""
     os.write(2, (cursor + INTERRUPTED).encode())

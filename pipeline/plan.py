@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from spinpipe.pipeline.config import ConfigError, RunConfig
@@ -41,7 +41,12 @@ class Step:
 
 
 def make_plan(
-    config: RunConfig, folder: RunFolder, *, start: str | None = None, until: str | None = None
+    config: RunConfig,
+    folder: RunFolder,
+    *,
+    start: str | None = None,
+    until: str | None = None,
+    stages: Sequence[Stage] = STAGES,
 ) -> list[Step]:
     """Decide for every stage whether it runs, from its key and the files that are there.
 
@@ -51,6 +56,7 @@ def make_plan(
     folder : where the run's files are; need not exist.
     start : stage from which on everything runs, whatever is there.
     until : last stage that runs.
+    stages : in their order, those that the others read from among them.
 
     Raises
     ------
@@ -59,13 +65,13 @@ def make_plan(
     StageError
         If an input file is missing.
     """
-    first = _index(start, "--from", default=len(STAGES))
-    last = _index(until, "--until", default=len(STAGES) - 1)
+    first = _index(start, "--from", default=len(stages))
+    last = _index(until, "--until", default=len(stages) - 1)
     if start and first > last:
         raise ConfigError(f"--from {start} comes after --until {until}: nothing would run")
     steps: list[Step] = []
     keys: dict[str, str] = {}
-    for i, stage in enumerate(STAGES):
+    for i, stage in enumerate(stages):
         section = config.stages[stage.name]
         inputs = input_identities(stage, section)
         parts = stage_parts(

@@ -42,15 +42,29 @@ class StageReport:
 
 
 class Runner:
-    """Executes the steps of a plan in one folder."""
+    """Executes the steps of a plan in one folder.
+
+    Parameters
+    ----------
+    config, folder, engine : of the run.
+    console : shows progress.
+    tell : whether it also says what each stage does and found.
+    """
 
     def __init__(
-        self, config: RunConfig, folder: RunFolder, engine: Engine, console: Console
+        self,
+        config: RunConfig,
+        folder: RunFolder,
+        engine: Engine,
+        console: Console,
+        *,
+        tell: bool = True,
     ) -> None:
         self._config = config
         self._folder = folder
         self._engine = engine
         self._console = console
+        self._tell = tell
 
     def run(
         self, steps: list[Step], on_stage: Callable[[str], None] = lambda _: None
@@ -68,7 +82,8 @@ class Runner:
             reports.append(report)
             if step.action == "skip":
                 continue
-            self._say(step)
+            if self._tell:
+                self._say(step)
             if step.action == "run":
                 self._run_stage(step, report)
             else:
@@ -135,7 +150,7 @@ class Runner:
             raise
         commit(partial, self._folder.mcap(name))
         self._folder.interrupted(name).unlink(missing_ok=True)
-        for note in report.notes:
+        for note in report.notes if self._tell else ():
             self._console.print(
                 f"      {'':<8} {note}", highlight=False, markup=False, soft_wrap=True
             )

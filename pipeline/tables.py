@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from spinpipe.pipeline.config import SECTIONS, brackets, own_keys
+from spinpipe.pipeline.inspect import Facts, fact_rows
 from spinpipe.pipeline.plan import Step
 from spinpipe.schemas.records import Detection
 from spinpipe.stages import STAGES
@@ -64,6 +65,16 @@ def plan_table(steps: Sequence[Step]) -> Table:
     for step in steps:
         table.add_row(step.stage.name, step.action, Text(step.reason))
     return table
+
+
+def facts_table(facts: Facts) -> Group:
+    """What is known of a scene or a model."""
+    table = Table(box=None, pad_edge=False, show_header=False)
+    table.add_column(no_wrap=True, style="dim")
+    table.add_column()
+    for name, text in fact_rows(facts):
+        table.add_row(f"  {name}", Text(text))
+    return Group(Text(f"{facts['path']}: a {facts['role']}", style="bold"), table)
 
 
 def stage_tables() -> Iterator[Group]:

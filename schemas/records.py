@@ -69,6 +69,10 @@ class SceneFrame:
     """Grid that the coordinates are written on, along the coarsest axis; 0 without one."""
     photos: str = ""
     """Folder of the photos that the cameras are named after; empty if it is not known."""
+    fields: tuple[str, ...] = ()
+    """Names of what each point carries in the file besides coordinates and colour."""
+    unit_source: str = ""
+    """What says the unit; empty where nothing does and metres are assumed, or the config does."""
 
 
 @dataclass(frozen=True)
@@ -156,6 +160,16 @@ class Evidence:
 
 
 @dataclass(frozen=True)
+class Level:
+    """A height on which ground lies, on one piece or several."""
+
+    height_m: float
+    """Above z = 0 of the world."""
+    share: float
+    """Of the scene's surface."""
+
+
+@dataclass(frozen=True)
 class Plane:
     """The ground in the local frame: ``dot(normal, p) + offset = 0``, the normal points up."""
 
@@ -170,6 +184,18 @@ class Plane:
     up_source: str
     """What decided which way is up."""
     evidence: tuple[Evidence, ...] = ()
+    levels: tuple[Level, ...] = ()
+    """Of the ground, the lowest first; small pieces are none."""
+
+
+@dataclass(frozen=True)
+class ErrorOver:
+    """How far points lie off a plane through a square patch of surface."""
+
+    side_m: float
+    """Of the patch."""
+    error_m: float
+    """Standard deviation."""
 
 
 @dataclass(frozen=True)
@@ -180,6 +206,8 @@ class Sampling:
     """Typical distance between neighbouring points on a horizontal surface."""
     noise_m: float
     """Standard deviation of the points about the surface."""
+    errors: tuple[ErrorOver, ...] = ()
+    """The same over patches of growing side: how wavy surfaces are that should be flat."""
 
     @property
     def density(self) -> float:

@@ -17,7 +17,7 @@ class Array(_message.Message):
     def __init__(self, dtype: _Optional[str] = ..., shape: _Optional[_Iterable[int]] = ..., data: _Optional[bytes] = ...) -> None: ...
 
 class SceneFrame(_message.Message):
-    __slots__ = ("origin", "scale", "points", "dropped", "coloured", "source", "strays", "duplicates", "kind", "crs", "up", "up_reason", "spacing_m", "step_m", "photos")
+    __slots__ = ("origin", "scale", "points", "dropped", "coloured", "source", "strays", "duplicates", "kind", "crs", "up", "up_reason", "spacing_m", "step_m", "photos", "fields", "unit_source")
     ORIGIN_FIELD_NUMBER: _ClassVar[int]
     SCALE_FIELD_NUMBER: _ClassVar[int]
     POINTS_FIELD_NUMBER: _ClassVar[int]
@@ -33,6 +33,8 @@ class SceneFrame(_message.Message):
     SPACING_M_FIELD_NUMBER: _ClassVar[int]
     STEP_M_FIELD_NUMBER: _ClassVar[int]
     PHOTOS_FIELD_NUMBER: _ClassVar[int]
+    FIELDS_FIELD_NUMBER: _ClassVar[int]
+    UNIT_SOURCE_FIELD_NUMBER: _ClassVar[int]
     origin: _containers.RepeatedScalarFieldContainer[float]
     scale: _containers.RepeatedScalarFieldContainer[float]
     points: int
@@ -48,7 +50,9 @@ class SceneFrame(_message.Message):
     spacing_m: float
     step_m: float
     photos: str
-    def __init__(self, origin: _Optional[_Iterable[float]] = ..., scale: _Optional[_Iterable[float]] = ..., points: _Optional[int] = ..., dropped: _Optional[int] = ..., coloured: bool = ..., source: _Optional[str] = ..., strays: _Optional[int] = ..., duplicates: _Optional[int] = ..., kind: _Optional[str] = ..., crs: _Optional[str] = ..., up: _Optional[_Iterable[float]] = ..., up_reason: _Optional[str] = ..., spacing_m: _Optional[float] = ..., step_m: _Optional[float] = ..., photos: _Optional[str] = ...) -> None: ...
+    fields: _containers.RepeatedScalarFieldContainer[str]
+    unit_source: str
+    def __init__(self, origin: _Optional[_Iterable[float]] = ..., scale: _Optional[_Iterable[float]] = ..., points: _Optional[int] = ..., dropped: _Optional[int] = ..., coloured: bool = ..., source: _Optional[str] = ..., strays: _Optional[int] = ..., duplicates: _Optional[int] = ..., kind: _Optional[str] = ..., crs: _Optional[str] = ..., up: _Optional[_Iterable[float]] = ..., up_reason: _Optional[str] = ..., spacing_m: _Optional[float] = ..., step_m: _Optional[float] = ..., photos: _Optional[str] = ..., fields: _Optional[_Iterable[str]] = ..., unit_source: _Optional[str] = ...) -> None: ...
 
 class TileIndex(_message.Message):
     __slots__ = ("low", "high", "counts")
@@ -81,7 +85,7 @@ class ObjectModel(_message.Message):
     def __init__(self, name: _Optional[str] = ..., points: _Optional[_Union[Array, _Mapping]] = ..., normals: _Optional[_Union[Array, _Mapping]] = ..., vertices: _Optional[_Union[Array, _Mapping]] = ..., faces: _Optional[_Union[Array, _Mapping]] = ..., T_object_model: _Optional[_Union[Array, _Mapping]] = ..., visible_from: _Optional[str] = ..., stretch: _Optional[float] = ...) -> None: ...
 
 class Plane(_message.Message):
-    __slots__ = ("normal", "offset", "inliers", "points", "rms_m", "inlier_distance_m", "up_source", "evidence")
+    __slots__ = ("normal", "offset", "inliers", "points", "rms_m", "inlier_distance_m", "up_source", "evidence", "levels")
     NORMAL_FIELD_NUMBER: _ClassVar[int]
     OFFSET_FIELD_NUMBER: _ClassVar[int]
     INLIERS_FIELD_NUMBER: _ClassVar[int]
@@ -90,6 +94,7 @@ class Plane(_message.Message):
     INLIER_DISTANCE_M_FIELD_NUMBER: _ClassVar[int]
     UP_SOURCE_FIELD_NUMBER: _ClassVar[int]
     EVIDENCE_FIELD_NUMBER: _ClassVar[int]
+    LEVELS_FIELD_NUMBER: _ClassVar[int]
     normal: _containers.RepeatedScalarFieldContainer[float]
     offset: float
     inliers: int
@@ -98,15 +103,34 @@ class Plane(_message.Message):
     inlier_distance_m: float
     up_source: str
     evidence: _containers.RepeatedCompositeFieldContainer[Evidence]
-    def __init__(self, normal: _Optional[_Iterable[float]] = ..., offset: _Optional[float] = ..., inliers: _Optional[int] = ..., points: _Optional[int] = ..., rms_m: _Optional[float] = ..., inlier_distance_m: _Optional[float] = ..., up_source: _Optional[str] = ..., evidence: _Optional[_Iterable[_Union[Evidence, _Mapping]]] = ...) -> None: ...
+    levels: _containers.RepeatedCompositeFieldContainer[Level]
+    def __init__(self, normal: _Optional[_Iterable[float]] = ..., offset: _Optional[float] = ..., inliers: _Optional[int] = ..., points: _Optional[int] = ..., rms_m: _Optional[float] = ..., inlier_distance_m: _Optional[float] = ..., up_source: _Optional[str] = ..., evidence: _Optional[_Iterable[_Union[Evidence, _Mapping]]] = ..., levels: _Optional[_Iterable[_Union[Level, _Mapping]]] = ...) -> None: ...
+
+class Level(_message.Message):
+    __slots__ = ("height_m", "share")
+    HEIGHT_M_FIELD_NUMBER: _ClassVar[int]
+    SHARE_FIELD_NUMBER: _ClassVar[int]
+    height_m: float
+    share: float
+    def __init__(self, height_m: _Optional[float] = ..., share: _Optional[float] = ...) -> None: ...
 
 class Sampling(_message.Message):
-    __slots__ = ("spacing_m", "noise_m")
+    __slots__ = ("spacing_m", "noise_m", "errors")
     SPACING_M_FIELD_NUMBER: _ClassVar[int]
     NOISE_M_FIELD_NUMBER: _ClassVar[int]
+    ERRORS_FIELD_NUMBER: _ClassVar[int]
     spacing_m: float
     noise_m: float
-    def __init__(self, spacing_m: _Optional[float] = ..., noise_m: _Optional[float] = ...) -> None: ...
+    errors: _containers.RepeatedCompositeFieldContainer[ErrorOver]
+    def __init__(self, spacing_m: _Optional[float] = ..., noise_m: _Optional[float] = ..., errors: _Optional[_Iterable[_Union[ErrorOver, _Mapping]]] = ...) -> None: ...
+
+class ErrorOver(_message.Message):
+    __slots__ = ("side_m", "error_m")
+    SIDE_M_FIELD_NUMBER: _ClassVar[int]
+    ERROR_M_FIELD_NUMBER: _ClassVar[int]
+    side_m: float
+    error_m: float
+    def __init__(self, side_m: _Optional[float] = ..., error_m: _Optional[float] = ...) -> None: ...
 
 class Evidence(_message.Message):
     __slots__ = ("name", "value")

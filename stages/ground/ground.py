@@ -11,7 +11,7 @@ from pydantic import Field, field_validator
 from scipy.spatial.transform import Rotation
 
 from spinpipe.schemas import CAMERAS, CLOUD, PLANE, SAMPLING, SCENE, TILES, TRAJECTORY, UPRIGHT
-from spinpipe.schemas.records import Evidence, Plane, Sampling, Trajectory, Upright
+from spinpipe.schemas.records import Evidence, Level, Plane, Sampling, Trajectory, Upright
 from spinpipe.stages.geometry.sampling import measure_sampling
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.ground.area_sample import AreaSample, sample_by_area
@@ -86,8 +86,11 @@ class Ground:
         ctx.log(f"up is {format_vector(up)} in scene axes (from {plane.up_source})")
         if plane.evidence:
             ctx.log("for it " + ", ".join(f"{e.name} {e.value:+.2f}" for e in plane.evidence))
-        ctx.log(f"ground rms {plane.rms_m:.3f} m, {share:.0%} of the surface")
-        ctx.log(f"points {sampling.spacing_m:.3f} m apart, noise {sampling.noise_m:.3f} m")
+        ctx.log(f"ground rms {plane.rms_m:.3f} m, {share:.0%} of the surface{levels_text(plane)}")
+        ctx.log(
+            f"points {sampling.spacing_m:.3f} m apart, noise {sampling.noise_m:.3f} m"
+            f"{errors_text(sampling)}"
+        )
 
 
 def _sample(ctx: Context[Ground.Config]) -> AreaSample:
@@ -214,11 +217,11 @@ def to_record(
     points, voxel = scene.surface.points, scene.surface.voxel
     if terrain is None:
         distance = SIGMAS * voxel
-        level = lowest_level(points, up, voxel, distance)
+        level, levels = lowest_level(points, up, voxel, distance), ()
         members = np.abs(points @ up - level) < distance
     else:
         distance, members = terrain.plane.inlier_distance, terrain.members
-        level = _lowest_piece(scene.surface, members, up)
+        level, levels = _levels(scene.surface, members, up, distance)
     x, y, z = up.tolist()
     return Plane(
         normal=(x, y, z),
@@ -229,15 +232,44 @@ def to_record(
         inlier_distance_m=distance,
         up_source=source,
         evidence=tuple(Evidence(name, float(value)) for name, value in evidence.items()),
+        levels=levels,
     )
 
 
-def _lowest_piece(surface: Surface, members: NDArray[np.bool_], up: F64) -> float:
-    """Median height of the lowest connected piece of the ground that is not small."""
+def _levels(
+    surface: Surface, members: NDArray[np.bool_], up: F64, distance: float
+) -> tuple[float, tuple[Level, ...]]:
+    """Height of the lowest piece of the ground that is not small, and of all such above it.
+
+    Connected pieces count with their median height; those within ``distance`` are one level.
+    """
     labels, heights = surface.groups(members), surface.points[members] @ up
     sizes = np.bincount(labels)
     notable = np.flatnonzero(sizes >= NOTABLE * sizes.max())
-    return min(float(np.median(heights[labels == piece])) for piece in notable)
+    medians = np.array([np.median(heights[labels == piece]) for piece in notable])
+    order = np.argsort(medians, kind="stable")
+    medians, shares = medians[order], sizes[notable][order] / len(surface.points)
+    first = np.flatnonzero(np.diff(medians, prepend=-np.inf) > distance)
+    weights = np.add.reduceat(shares, first)
+    middle = np.add.reduceat(shares * (medians - medians[0]), first) / weights
+    levels = zip(middle.tolist(), weights.tolist(), strict=True)
+    least = NOTABLE * float(weights.max())
+    return float(medians[0]), tuple(Level(h, share) for h, share in levels if share >= least)
+
+
+def levels_text(plane: Plane) -> str:
+    """The levels of the ground where there are several."""
+    if len(plane.levels) < 2:
+        return ""
+    return ", at " + ", ".join(f"{v.height_m:.1f} m ({v.share:.0%})" for v in plane.levels)
+
+
+def errors_text(sampling: Sampling) -> str:
+    """The error over patches larger than those of the noise."""
+    errors = sampling.errors[1:]
+    if not errors:
+        return ""
+    return ", error " + ", ".join(f"{e.error_m:.3f} over {e.side_m:.2g} m" for e in errors)
 
 
 def format_vector(vector: F64) -> str:

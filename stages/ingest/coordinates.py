@@ -58,7 +58,7 @@ def from_crs(crs: CRS, source: str) -> Coordinates:
     horizontal = next((a for a in axes if not _vertical(a)), None)
     vertical = next((a for a in axes if _vertical(a)), horizontal)
     flat = float(horizontal.unit_conversion_factor) if horizontal else 1.0
-    degrees = horizontal is not None and "degree" in horizontal.unit_name
+    degrees = crs.is_geographic
     height = float(vertical.unit_conversion_factor) if vertical else 1.0
     if vertical is horizontal and degrees:
         height = 1.0

@@ -15,6 +15,7 @@ from spinpipe.stages.ingest.odometry import Odometry, registered
 from spinpipe.stages.ingest.open_scene import open_scene
 from spinpipe.stages.ingest.read_mcap import McapSource
 from spinpipe.stages.ingest.sanity import (
+    believable,
     coarse_steps,
     refuse_degrees,
     scale_note,
@@ -79,7 +80,8 @@ class Ingest:
             source = _one_scene(source, ctx)
         progress = ctx.progress("points read", source.points)
         found = survey(source, str(config.scene), _chunk_points(ctx.memory_bytes), progress)
-        said, photos = source.about.coordinates, config.photos or source.about.photos
+        said, unlikely = believable(source.about.coordinates, found)
+        photos = config.photos or source.about.photos
         stated: float | Vector | None = config.scale
         if config.scale_from.given:
             stated, note = known_scale(
@@ -95,6 +97,7 @@ class Ingest:
         for note in (
             *source.about.notes,
             *left_out(found),
+            unlikely,
             scale_note(stated, said),
             f"odd: {steps}" if steps else "",
         ):
@@ -115,6 +118,8 @@ class Ingest:
             spacing_m=spacing_m,
             step_m=float(max(np.array(found.steps) * scale)),
             photos=str(photos or ""),
+            fields=source.about.fields,
+            unit_source=f"{said.name}, {said.source}" if said.metres and not stated else "",
         )
         index = _write_tiles(source, frame, found, ctx)
         points = int(index.counts.sum())

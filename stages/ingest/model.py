@@ -5,8 +5,13 @@ from __future__ import annotations
 from pydantic import Field, field_validator
 
 from spinpipe.schemas import MODELS, SCENE, TILES
-from spinpipe.stages.ingest.object_model import ModelConfig, load_model
-from spinpipe.stages.ingest.sanity import model_line, oddities, require_possible
+from spinpipe.stages.ingest.object_model import ModelConfig, object_model, read_model
+from spinpipe.stages.ingest.sanity import (
+    model_line,
+    odd_sampling,
+    odd_shape,
+    require_possible,
+)
 from spinpipe.stages.stage import Context, Section
 
 
@@ -37,9 +42,11 @@ class Model:
         tiles, scene = ctx.read_one(TILES), ctx.read_one(SCENE)
         scene_m = float((tiles.high.max(axis=0) - tiles.low.min(axis=0)).max())
         for config in ctx.config.models:
-            model = load_model(config, ctx.rng, ctx.log)
-            ctx.log(model_line(model))
+            file = read_model(config)
+            model = object_model(config, file, ctx.rng)
+            ctx.log(model_line(model, file))
             require_possible(scene, scene_m, model)
-            for note in oddities(scene, model):
-                ctx.log(f"odd: {note}")
+            for note in (file.doubt, odd_sampling(scene, model), odd_shape(model)):
+                if note:
+                    ctx.log(f"odd: {note}")
             ctx.write(MODELS, model)

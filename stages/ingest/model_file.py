@@ -33,7 +33,7 @@ _BASE_WEIGHT = 0.5
 _THIN = 0.05
 """A model is flat if it is thinner along z than this share of its longest side."""
 _LONGER = 1.2
-"""A glTF model this much longer along x than along z faces +x, whatever the specification says."""
+"""Things face along the axis in which they are longer by this much, whatever is usual."""
 _CLEARLY = 0.2
 """Difference in plausibility from which one axis is taken for another."""
 
@@ -50,7 +50,7 @@ class ModelFile:
     up: Axis
     forward: Axis
     reason: str
-    """Why that axis is up."""
+    """Why that axis is up, to stand behind its name."""
     doubt: str = ""
     """What the user should look at, empty where nothing."""
 
@@ -60,11 +60,15 @@ class ModelFile:
         if self.faces is None:
             return False
         # Files repeat a vertex for every face that has other normals there
-        place = np.unique(self.corners, axis=0, return_inverse=True)[1].reshape(-1)
+        order = np.lexsort(self.corners.T)
+        other = (np.diff(self.corners[order], axis=0) != 0).any(axis=1)
+        place = np.empty(len(order), np.int64)
+        place[order] = np.cumsum(np.append(0, other))
         faces = place[self.faces]
         edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]))
         edges = edges[edges[:, 0] != edges[:, 1]]
-        return bool((np.unique(edges, axis=0, return_counts=True)[1] == 2).all())
+        keys = edges[:, 0] * len(order) + edges[:, 1]
+        return bool((np.unique(keys, return_counts=True)[1] == 2).all())
 
 
 def open_model(path: Path, up: Axis | None, forward: Axis | None) -> ModelFile:
@@ -95,18 +99,28 @@ def open_model(path: Path, up: Axis | None, forward: Axis | None) -> ModelFile:
     if not np.isfinite(corners).all():
         raise StageError(f"{path}: holds coordinates that are not finite; repair the model")
     if up is not None:
-        front = forward or ("x" if up[-1] != "x" else "y")
-        return ModelFile(name, corners, faces, up, front, "as stated")
+        return ModelFile(name, corners, faces, up, forward or _front(corners, up), "as stated")
     if said:  # [Khronos glTF 2.0, section 3.4]: +y is up, the front faces +z
-        size = np.ptp(corners, axis=0)
-        front: Axis = "x" if size[0] > _LONGER * size[2] else "z"  # many exporters leave it at +x
-        return ModelFile(name, corners, faces, "y", forward or front, "y by the glTF specification")
+        front = forward or _front(corners, "y", "z")  # many exporters leave it at +x
+        return ModelFile(name, corners, faces, "y", front, "by the glTF specification")
     if kind == "las":
-        return ModelFile(name, corners, faces, "z", forward or "x", "z is the height in LAS")
+        front = forward or _front(corners, "z")
+        return ModelFile(name, corners, faces, "z", front, "the height in LAS")
     chosen, reason, doubt = _plausible_up(corners, faces)
     if forward is not None and forward[-1] == chosen:
         chosen, reason, doubt = ("y" if forward[-1] == "z" else "z"), "forward is stated", ""
-    return ModelFile(name, corners, faces, chosen, forward or "x", reason, doubt)
+    front = forward or _front(corners, chosen)
+    return ModelFile(name, corners, faces, chosen, front, reason, doubt)
+
+
+def _front(corners: F64, up: Axis, usual: Axis = "x") -> Axis:
+    """The usual axis, unless the model is clearly longer along the other level one."""
+    axes: tuple[Axis, ...] = ("x", "y", "z")
+    level: list[Axis] = [axis for axis in axes if axis != up[-1]]
+    first = usual if usual in level else level[0]
+    other = level[1] if first == level[0] else level[0]
+    size: dict[Axis, float] = dict(zip(axes, np.ptp(corners, axis=0).tolist(), strict=True))
+    return other if size[other] > _LONGER * size[first] else first
 
 
 def _plausible_up(corners: F64, faces: I64 | None) -> tuple[Axis, str, str]:
@@ -117,7 +131,7 @@ def _plausible_up(corners: F64, faces: I64 | None) -> tuple[Axis, str, str]:
     """
     size = np.ptp(corners, axis=0)
     if size[2] <= _THIN * size.max():
-        return "z", "z: the model is flat and lies", ""
+        return "z", "the model is flat and lies", ""
     if faces is not None and face_areas_and_normals(corners, faces)[0].sum() > 0:
         rng = np.random.default_rng(0)
         points = sample_surface(corners, faces, _SAMPLES, rng)[0]
@@ -138,13 +152,13 @@ def _plausible_up(corners: F64, faces: I64 | None) -> tuple[Axis, str, str]:
     if more > _CLEARLY:
         return (
             "y",
-            "y: the model stands more plausibly along it than along z",
+            "it stands more plausibly than along z",
             "y is taken for up, it stands more plausibly than z; state up = 'y' or up = 'z'",
         )
     if more > -_CLEARLY:
         return (
             "z",
-            "z: no axis stands more plausibly",
+            "as is usual; y is as plausible",
             "z is taken for up, y would do as well; state up = 'z' or up = 'y'",
         )
-    return "z", "z: the model stands more plausibly along it than along y", ""
+    return "z", "it stands more plausibly than along y", ""

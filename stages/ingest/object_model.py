@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -42,7 +41,8 @@ class ModelConfig(Section):
     )
     forward: Axis | None = Field(
         default=None,
-        description="axis of the file that points forward, heading 0; none: z for glTF, else x",
+        description="axis of the file that points forward, heading 0; none: x (glTF: z), or the "
+        "other level one if the model is clearly longer along it",
     )
     samples: int = Field(
         default=25_000, ge=100, le=5_000_000, description="points drawn from a mesh"
@@ -74,12 +74,8 @@ class ModelConfig(Section):
         return self
 
 
-def load_model(
-    config: ModelConfig,
-    rng: np.random.Generator,
-    log: Callable[[str], None] = lambda _: None,
-) -> ObjectModel:
-    """Read or make an object's model and bring it to the object frame.
+def object_model(config: ModelConfig, file: ModelFile, rng: np.random.Generator) -> ObjectModel:
+    """Bring what a model's file holds to the object frame and sample it where it shows.
 
     A mesh is sampled uniformly by area where it shows from around; with ``visible_from = "above"``
     only where the surface lies open to a sensor that looks straight down [Bovenkamp 2010, section
@@ -88,18 +84,15 @@ def load_model(
     Parameters
     ----------
     config : the ``[[model]]`` section.
+    file : see ``read_model``.
     rng : draws the samples.
-    log : told what the user should look at.
 
     Raises
     ------
     StageError
-        When the file is missing, unreadable, empty, without area, or holds NaN.
+        When its faces have no area.
     """
     where = f"[[model]] '{config.name}': {config.path}"
-    file = read_model(config)
-    if file.doubt:
-        log(f"model '{config.name}': {file.doubt}")
     T_object_model = _object_from_model(file, config.scale)
     points = transform(T_object_model, file.corners)
     if file.faces is None:

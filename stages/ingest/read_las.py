@@ -25,6 +25,8 @@ from spinpipe.stages.stage import StageError
 _VLR_HEADER = 54
 """Bytes of the header of a variable length record [ASPRS LAS 1.4 R15, table 7]."""
 _SHORTEST_HEADER = 227
+_SHOWN = ("X", "Y", "Z", "red", "green", "blue")
+"""Fields that come out as coordinates and colours."""
 
 
 class LasSource:
@@ -58,7 +60,7 @@ class LasSource:
         self._full: float | None = None
         self.about = About(
             kind=header.kind,
-            fields=tuple(n for n in names if n not in ("X", "Y", "Z")),
+            fields=tuple(n for n in names if n not in _SHOWN),
             coordinates=told,
             # The standard leaves it open, but z is the height wherever the system has one
             up=None if told.geocentric else (0.0, 0.0, 1.0),

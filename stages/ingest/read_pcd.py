@@ -25,6 +25,8 @@ from spinpipe.stages.stage import StageError
 
 _LONGEST_HEADER = 1 << 16
 _ENCODINGS = ("ascii", "binary", "binary_compressed")
+_SHOWN = ("x", "y", "z", "rgb", "rgba")
+"""Fields that come out as coordinates and colours."""
 _LARGEST_RATIO = 255
 """LZF writes at most 264 bytes for three of its own."""
 
@@ -65,7 +67,7 @@ class PcdSource:
         self.coloured = "rgb" in names or "rgba" in names
         self.about = About(
             kind=f"PCD, {self._encoding}",
-            fields=tuple(n for n in names if n not in ("x", "y", "z") and n[0] != "_"),
+            fields=tuple(n for n in names if n not in _SHOWN and n[0] != "_"),
             coordinates=beside(path) or Coordinates(),
         )
         self._check_size()

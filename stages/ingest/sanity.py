@@ -6,13 +6,14 @@ What cannot be right stops the run, what is odd becomes a line that names the ke
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from spinpipe.schemas.records import ObjectModel, SceneFrame, Vector
 from spinpipe.stages.ingest.coordinates import Coordinates
+from spinpipe.stages.ingest.model_file import ModelFile
 from spinpipe.stages.ingest.scene_source import SceneSource
 from spinpipe.stages.ingest.survey import Survey
 from spinpipe.stages.stage import StageError
@@ -35,9 +36,21 @@ _SHEET_HEIGHT = 0.05
 """Lowest part of a model, in its height, in which a sheet of ground would lie."""
 _SHEET_WIDER = 1.6
 """A sheet reaches this much farther than what stands on it."""
+_LON_LAT = (180.0, 90.0)
 _DEGREES_ACROSS = 1.0
 _DEGREES_RATIO = 1000.0
 """A degree is about 1e5 m: heights in metres over degrees are never below this."""
+
+
+def believable(told: Coordinates, found: Survey) -> tuple[Coordinates, str]:
+    """What the file says of its coordinates, unless they cannot be that; a note if so."""
+    most = np.abs([found.low, found.high])[:, :2].max(axis=0)
+    if not told.degrees or (most <= _LON_LAT).all():
+        return told, ""
+    return Coordinates(), (
+        f"odd: {told.source} says degrees ({told.name}), but x reaches {most[0]:.6g} and y "
+        f"{most[1]:.6g}: taken for metres; if they are not, set [ingest] scale"
+    )
 
 
 def scale_of(stated: float | Vector | None, coordinates: Coordinates, where: Path) -> Vector:
@@ -93,7 +106,7 @@ def refuse_degrees(found: Survey, where: Path) -> None:
     """
     reach = found.high - found.low
     across = float(reach[:2].max())
-    lat_lon = np.abs([found.low, found.high])[:, :2].max(axis=0) <= (180, 90)
+    lat_lon = np.abs([found.low, found.high])[:, :2].max(axis=0) <= _LON_LAT
     if 0 < across < _DEGREES_ACROSS and reach[2] > _DEGREES_RATIO * across and lat_lon.all():
         raise _degrees(where, f"x and y span {across:.2g}, z {reach[2]:.3g}")
 
@@ -146,22 +159,28 @@ def require_possible(scene: SceneFrame, scene_m: float, model: ObjectModel) -> N
         )
 
 
-def oddities(scene: SceneFrame, model: ObjectModel) -> Iterator[str]:
-    """Lines about what may be right but is odd."""
+def odd_sampling(scene: SceneFrame, model: ObjectModel) -> str:
+    """What may be right but is odd about the points of a scene, given a model; empty if nothing."""
     longest = _longest(model)
-    if scene.spacing_m > _ODD_SPACING * longest:
-        yield (
-            f"points lie {scene.spacing_m:.3g} m apart, model '{model.name}' is only "
-            f"{longest:.3g} m long; if the scene is not in metres, set [ingest] scale"
-        )
-    sheet = _sheet(model)
-    if sheet:
-        yield sheet
-    elif _CAR.search(model.name) and not _CAR_LENGTH_M[0] <= longest <= _CAR_LENGTH_M[1]:
-        yield (
-            f"model '{model.name}' is {longest:.3g} m long, {model.size[2]:.3g} m high: no car is"
-            + _unit_hint(longest / 4.5, "it may be in", "[[model]] scale")
-        )
+    if not scene.spacing_m > _ODD_SPACING * longest:
+        return ""
+    return (
+        f"points lie {scene.spacing_m:.3g} m apart, model '{model.name}' is only "
+        f"{longest:.3g} m long; if the scene is not in metres, set [ingest] scale"
+    )
+
+
+def odd_shape(model: ObjectModel) -> str:
+    """What may be right but is odd about a model by itself; empty if nothing."""
+    longest = _longest(model)
+    if sheet := _sheet(model):
+        return sheet
+    if not _CAR.search(model.name) or _CAR_LENGTH_M[0] <= longest <= _CAR_LENGTH_M[1]:
+        return ""
+    return (
+        f"model '{model.name}' is {longest:.3g} m long, {model.size[2]:.3g} m high: no car is"
+        + _unit_hint(longest / 4.5, "it may be in", "[[model]] scale")
+    )
 
 
 def _longest(model: ObjectModel) -> float:
@@ -181,10 +200,17 @@ def scene_line(source: SceneSource, found: Survey, scale: Vector, spacing_m: flo
     return ", ".join(part for part in parts if part)
 
 
-def model_line(model: ObjectModel) -> str:
+def model_line(model: ObjectModel, file: ModelFile) -> str:
     """A model in one line."""
     size = " x ".join(f"{side:.3g}" for side in model.size)
-    return f"model {model.name}: {size} m (length, width, height)"
+    if file.faces is None:
+        what = f"{len(file.corners):,} points"
+    else:
+        what = f"{len(file.faces):,} faces, {'' if file.closed else 'not '}closed"
+    return (
+        f"model {model.name}: {size} m (length, width, height), {what}; up is {file.up}, "
+        f"{file.reason}"
+    )
 
 
 def _sheet(model: ObjectModel) -> str:

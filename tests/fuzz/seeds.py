@@ -16,7 +16,7 @@ from spinpipe.pipeline.evaluation.truth import read_truth
 from spinpipe.pipeline.mcap_file import Messages, StageFileWriter, read_metadata
 from spinpipe.schemas import CLOUD
 from spinpipe.schemas.records import CloudTile, SceneFrame, Upright
-from spinpipe.stages.ingest.object_model import ModelConfig, load_model
+from spinpipe.stages.ingest.object_model import ModelConfig, object_model, read_model
 from spinpipe.stages.ingest.open_scene import open_scene
 
 POINTS = np.random.default_rng(0).uniform(-5, 5, (60, 3))
@@ -141,8 +141,9 @@ def read_scene(path: Path) -> None:
         pass
 
 
-def read_model(path: Path) -> None:
-    load_model(ModelConfig(name="m", path=path, samples=100), np.random.default_rng(0))
+def read_object(path: Path) -> None:
+    config = ModelConfig(name="m", path=path, samples=100)
+    object_model(config, read_model(config), np.random.default_rng(0))
 
 
 def read_mcap(path: Path) -> None:
@@ -159,7 +160,7 @@ def read_labels(path: Path) -> None:
 FORMATS: dict[str, tuple[str, Callable[[Path], object], Callable[[Path], object]]] = {
     "ply": ("a.ply", lambda p: ply(p, text=False), read_scene),
     "ply-text": ("a.ply", lambda p: ply(p, text=True), read_scene),
-    "ply-mesh": ("m.ply", mesh, read_model),
+    "ply-mesh": ("m.ply", mesh, read_object),
     "las": ("a.las", las, read_scene),
     "laz": ("a.laz", las, read_scene),
     "colmap-points": ("points3D.bin", colmap_points, read_scene),
@@ -168,11 +169,11 @@ FORMATS: dict[str, tuple[str, Callable[[Path], object], Callable[[Path], object]
     "pcd-text": ("a.pcd", lambda p: pcd(p, "ascii"), read_scene),
     "pcd": ("a.pcd", lambda p: pcd(p, "binary"), read_scene),
     "text": ("a.xyz", lambda p: np.savetxt(p, POINTS, fmt="%.4f"), read_scene),
-    "obj": ("m.obj", mesh, read_model),
-    "stl": ("m.stl", mesh, read_model),
-    "off": ("m.off", mesh, read_model),
-    "glb": ("m.glb", mesh, read_model),
-    "gltf": ("m.gltf", mesh, read_model),
+    "obj": ("m.obj", mesh, read_object),
+    "stl": ("m.stl", mesh, read_object),
+    "off": ("m.off", mesh, read_object),
+    "glb": ("m.glb", mesh, read_object),
+    "gltf": ("m.gltf", mesh, read_object),
     "toml": ("c.toml", lambda p: p.write_text(CONFIG), load_config),
     "mcap": ("01_ingest.mcap", mcap, read_mcap),
     "log": ("a.mcap", log, read_scene),

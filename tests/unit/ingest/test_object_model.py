@@ -18,13 +18,14 @@ from pydantic import ValidationError
 from spinpipe.schemas.records import ObjectModel
 from spinpipe.stages.geometry.seen_from_above import seen_from_above
 from spinpipe.stages.geometry.shapes import sample_surface
-from spinpipe.stages.ingest.object_model import ModelConfig, load_model
+from spinpipe.stages.ingest.object_model import ModelConfig, object_model, read_model
 from spinpipe.stages.stage import StageError
 
 
 def load(path: Path, **options: Any) -> ObjectModel:
     fields = {"name": "thing", "path": path, "samples": 2000, **options}
-    return load_model(ModelConfig.model_validate(fields), np.random.default_rng(0))
+    config = ModelConfig.model_validate(fields)
+    return object_model(config, read_model(config), np.random.default_rng(0))
 
 
 def box(low: tuple[float, ...], high: tuple[float, ...]) -> Any:
