@@ -13,6 +13,7 @@ from spinpipe.pipeline.drawing import palette, parts
 from spinpipe.pipeline.drawing.drawing import CANDIDATE, NOTES, WORLD, Reader
 from spinpipe.pipeline.drawing.eye import diagonal, is_long, object_eye, scene_corners, scene_eye
 from spinpipe.pipeline.drawing.model import model_path, places_in_row
+from spinpipe.pipeline.drawing.photos import photos_of
 from spinpipe.pipeline.drawing.preview import piece_count
 from spinpipe.pipeline.drawing.timelines import STEPS_A_CANDIDATE
 from spinpipe.schemas import MODELS, TILES
@@ -45,8 +46,9 @@ def build_blueprint(read: Reader, preview_points: int, timeline: str = "stage") 
     near_radius = min(_FILL * spacing, _LARGEST * diagonal(models))
     scene, *others = _scene_views(eye, piece_count(len(tiles.counts)))
     left = rrb.Vertical(scene, rrb.Tabs(*others)) if is_long(corners) else rrb.Tabs(scene, *others)
+    photos = any(photo.file is not None for photo in photos_of(read))
     return rrb.Blueprint(
-        rrb.Horizontal(left, _candidate(models, near_radius), column_shares=[6, 5]),
+        rrb.Horizontal(left, _candidate(models, near_radius, photos), column_shares=[6, 5]),
         rrb.TimePanel(timeline=timeline, state="expanded"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -98,7 +100,7 @@ def _scene_views(eye: rrb.EyeControls3D, pieces: int) -> list[rrb.Spatial3DView]
     ]
 
 
-def _candidate(models: Sequence[ObjectModel], near_radius: float) -> rrb.Vertical:
+def _candidate(models: Sequence[ObjectModel], near_radius: float, photos: bool) -> rrb.Vertical:
     """One candidate: what is explained, its looks, its numbers, its spin image, its way."""
     eye, near = (
         object_eye(models, np.zeros(1)).controls(),
@@ -108,14 +110,11 @@ def _candidate(models: Sequence[ObjectModel], near_radius: float) -> rrb.Vertica
         "candidate/points": rr.Points3D.from_fields(radii=-2.0),
         "candidate/surface": rr.Points3D.from_fields(radii=-2.2),
     }
-    explained = [
-        "+ /candidate/**",
-        "- /candidate/spin/**",
-        "- /candidate/surface",
-        "- /candidate/parts/**",
-    ]
+    explained = [f"+ /candidate/{name}" for name in ("points", "box", "runner_up", "next_model")]
     surface = ["+ /candidate/surface", "+ /candidate/box"]
     fit = ["+ /ingest/cloud/**", "+ /verify/fit/**", "+ /candidate/runner_up"]
+    notes = rrb.TextDocumentView(origin=NOTES, name="Notes")
+    photo = rrb.Spatial2DView(origin="/candidate/photo", name="Photo")
     return rrb.Vertical(
         rrb.Horizontal(
             rrb.Tabs(
@@ -123,7 +122,7 @@ def _candidate(models: Sequence[ObjectModel], near_radius: float) -> rrb.Vertica
                 _view_3d("Model seen or not", surface, CANDIDATE, eye, near, own),
                 _view_3d("Fit, in the photos' colours", fit, CANDIDATE, eye, near),
             ),
-            rrb.TextDocumentView(origin=NOTES, name="Notes"),
+            rrb.Vertical(photo, notes, row_shares=[5, 6]) if photos else notes,
         ),
         rrb.Horizontal(
             rrb.Spatial2DView(
@@ -155,7 +154,7 @@ def _candidate(models: Sequence[ObjectModel], near_radius: float) -> rrb.Vertica
                 eye_controls=object_eye(models, places_in_row(models)).controls(),
             ),
         ),
-        row_shares=[11, 7, 6],
+        row_shares=[12, 6, 6],
     )
 
 

@@ -21,15 +21,26 @@ class Boxes(NamedTuple):
     """(N, 3) length, width, height."""
     quaternions: F64
     """(N, 4) rotation x y z w object -> world."""
-    forward: F64
-    """(N, 3) unit vectors along the objects' +x."""
-    up: F64
-    """(N, 3) unit vectors along their +z."""
+    axes: F64
+    """(N, 3, 3) unit vectors along the objects' x, y and z, as columns."""
+
+    @property
+    def forward(self) -> F64:
+        """(N, 3) unit vectors along the objects' +x."""
+        return self.axes[:, :, 0]
 
     @property
     def tops(self) -> F64:
         """(N, 3) middles of the upper faces."""
-        return self.centers + self.up * self.sizes[:, 2:] / 2
+        return self.centers + self.axes[:, :, 2] * self.sizes[:, 2:] / 2
+
+    @property
+    def corners(self) -> F64:
+        """(N, 8, 3): base from ahead on the left counter-clockwise, then the top."""
+        square = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
+        signs = np.array([(x, y, z) for z in (-1, 1) for x, y in square])
+        offsets = signs * self.sizes[:, None] / 2
+        return self.centers[:, None] + offsets @ self.axes.transpose(0, 2, 1)
 
 
 def boxes_of(detections: Sequence[Detection]) -> Boxes:
@@ -38,5 +49,4 @@ def boxes_of(detections: Sequence[Detection]) -> Boxes:
     axes = T[:, :3, :3] / np.linalg.norm(T[:, :3, :3], axis=1, keepdims=True)
     sizes = np.array([d.size_m for d in detections], np.float64).reshape(-1, 3)
     base = np.array([d.position_world for d in detections], np.float64).reshape(-1, 3)
-    forward, up = axes[:, :, 0], axes[:, :, 2]
-    return Boxes(base + up * sizes[:, 2:] / 2, sizes, rotation_quaternion(T), forward, up)
+    return Boxes(base + axes[:, :, 2] * sizes[:, 2:] / 2, sizes, rotation_quaternion(T), axes)

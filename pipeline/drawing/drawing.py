@@ -15,7 +15,8 @@ from typing import Protocol, TypeVar
 
 import rerun as rr
 
-from spinpipe.schemas.records import Upright
+from spinpipe.pipeline.drawing.timelines import candidate_step
+from spinpipe.schemas.records import Detection, Upright
 from spinpipe.schemas.topics import Topic
 from spinpipe.stages import STAGES
 
@@ -69,6 +70,24 @@ def at_stages(rec: rr.RecordingStream, path: str, first: str, last: str) -> None
     rec.set_time("stage", sequence=STAGE_NUMBER[last] + 1)
     rec.log(path, rr.Clear(recursive=True))
     rec.set_time("stage", sequence=STAGE_NUMBER[first])
+
+
+def at_candidate(rec: rr.RecordingStream, candidate: int) -> None:
+    """Log what follows for one candidate."""
+    rec.reset_time()
+    rec.set_time("candidate", sequence=candidate_step(candidate))
+
+
+def clear_stale(
+    rec: rr.RecordingStream, path: str, detections: Sequence[Detection], drawn: set[int]
+) -> None:
+    """Empty ``path`` at candidates that nothing is drawn for: it would show the one before."""
+    left = -1
+    for d in sorted(detections, key=lambda d: d.id):
+        if d.id not in drawn and left in drawn:
+            at_candidate(rec, d.id)
+            rec.log(path, rr.Clear(recursive=True))
+        left = d.id
 
 
 def place(rec: rr.RecordingStream, path: str, frame: str) -> None:

@@ -7,10 +7,15 @@ import rerun as rr
 
 from spinpipe.pipeline.drawing import palette
 from spinpipe.pipeline.drawing.drawing import CANDIDATE, LOCAL, WORLD, Reader, at_stage, note, put
+from spinpipe.pipeline.drawing.photos import draw_cameras, photos_of
 from spinpipe.pipeline.drawing.preview import preview
 from spinpipe.schemas import CAMERAS, CLOUD, SCENE, TILES, TRAJECTORY
-from spinpipe.schemas.arrays import F32
+from spinpipe.schemas.arrays import F32, F64
 from spinpipe.schemas.records import Cameras, SceneFrame, TileIndex
+from spinpipe.stages.geometry.frames import quaternion_matrix
+
+CAMERA_SHARE = 0.02
+"""Size of a camera, as a share of the scene's diagonal."""
 
 
 def draw(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
@@ -21,8 +26,11 @@ def draw(read: Reader, rec: rr.RecordingStream, preview_points: int) -> None:
     for frame in (LOCAL, CANDIDATE):
         rec.log(f"frames/{frame}", rr.Transform3D(child_frame=frame, parent_frame=WORLD))
     _draw_cloud(read, rec, preview_points, scene, tiles)
+    size = float(np.linalg.norm(tiles.high.max(axis=0) - tiles.low.min(axis=0)))
+    photos = photos_of(read)
+    draw_cameras(rec, photos, CAMERA_SHARE * size)
     for shown in cameras:
-        _draw_cameras(rec, shown, tiles)
+        _draw_frusta(rec, shown, {photo.name for photo in photos}, CAMERA_SHARE * size)
     for path in read(TRAJECTORY):
         line = rr.LineStrips3D([path.positions], colors=palette.MARK, radii=-2.0)
         put(rec, "ingest/trajectory", line, LOCAL, static=True)
@@ -48,21 +56,23 @@ def _draw_cloud(
         put(rec, f"ingest/cloud/{piece.number:04d}", shape, LOCAL, static=True)
 
 
-def _draw_cameras(rec: rr.RecordingStream, cameras: Cameras, tiles: TileIndex) -> None:
-    size = 0.02 * float(np.linalg.norm(tiles.high.max(axis=0) - tiles.low.min(axis=0)))
-    frusta = rr.LineStrips3D(_frusta(cameras, size), colors=palette.MARK, radii=-1.0)
-    put(rec, "ingest/cameras", frusta, LOCAL, static=True)
+def _draw_frusta(rec: rr.RecordingStream, cameras: Cameras, known: set[str], size_m: float) -> None:
+    """Cameras without a lens: a plain pyramid each."""
+    rest = np.array([name not in known for name in cameras.names], bool)
+    if rest.any():
+        lines = _frusta(cameras.positions[rest], cameras.quaternions_xyzw[rest], size_m)
+        frusta = rr.LineStrips3D(lines, colors=palette.MARK, radii=-1.0)
+        put(rec, "ingest/cameras", frusta, LOCAL, static=True)
 
 
-def _frusta(cameras: Cameras, size: float) -> F32:
+def _frusta(positions: F64, quaternions_xyzw: F64, size: float) -> F32:
     """One line (C, L, 3) a camera: a pyramid that opens to where it looks, up side marked."""
     a, b = 0.75 * size, 0.5 * size
     tip, mark = (0, 0, 0), (0, -1.6 * b, size)
     p, q, r, s = (-a, -b, size), (a, -b, size), (a, b, size), (-a, b, size)
     line = np.array([tip, p, q, tip, r, s, tip, s, p, mark, q, r], np.float64)
-    u, w = cameras.quaternions_xyzw[:, None, :3], cameras.quaternions_xyzw[:, None, 3:]
-    turned = line + 2 * np.cross(u, np.cross(u, line) + w * line)
-    return (turned + cameras.positions[:, None, :]).astype(np.float32)
+    turned = line @ quaternion_matrix(quaternions_xyzw).transpose(0, 2, 1)
+    return (turned + positions[:, None, :]).astype(np.float32)
 
 
 def _summary(scene: SceneFrame, tiles: TileIndex, cameras: int) -> str:

@@ -9,8 +9,9 @@ import rerun as rr
 
 from spinpipe.pipeline.drawing import palette
 from spinpipe.pipeline.drawing.boxes import boxes_of
+from spinpipe.pipeline.drawing.candidates import ROOT as CLOSE
 from spinpipe.pipeline.drawing.candidates import draw_candidates, worth_a_look
-from spinpipe.pipeline.drawing.drawing import NOTES, WORLD, Reader, at_stage, note, put
+from spinpipe.pipeline.drawing.drawing import NOTES, WORLD, Reader, at_stage, clear_stale, note, put
 from spinpipe.pipeline.drawing.eye import label_rows
 from spinpipe.pipeline.drawing.fits import (
     draw_fits,
@@ -20,6 +21,7 @@ from spinpipe.pipeline.drawing.fits import (
     first_steps,
     order_fits,
 )
+from spinpipe.pipeline.drawing.photos import draw_candidate_photos
 from spinpipe.pipeline.drawing.texts import candidate_text, outcome_text
 from spinpipe.pipeline.drawing.threshold import Truth, draw_threshold
 from spinpipe.schemas import DETECTIONS, MODELS, TRACES
@@ -54,7 +56,9 @@ def draw(
     fits = order_fits(detections, [trace for trace in read(TRACES) if trace.cluster in close])
     draw_rms(rec, fits)
     draw_fits(rec, fits, models)
+    clear_stale(rec, CLOSE, detections, close)
     draw_candidates(read, rec, ranked, preview_points)
+    draw_candidate_photos(read, rec, ranked)
     rec.send_columns(
         NOTES,
         indexes=first_steps(fits),

@@ -75,6 +75,11 @@ def rotation_quaternion(T: NDArray[Any]) -> F64:
     return turns.reshape(*axes.shape[:-2], 4)
 
 
+def quaternion_matrix(quaternion_xyzw: ArrayLike) -> F64:
+    """(N, 3, 3) rotations of quaternions x y z w (N, 4)."""
+    return Rotation.from_quat(np.asarray(quaternion_xyzw, np.float64).reshape(-1, 4)).as_matrix()
+
+
 def heading_deg(T_world_object: F64) -> float:
     """Direction of the object's +x axis about z, degrees in [0, 360)."""
     return float(np.degrees(np.arctan2(T_world_object[1, 0], T_world_object[0, 0])) % 360.0)

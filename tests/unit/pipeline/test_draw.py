@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 import subprocess
 from collections import Counter
@@ -14,6 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 import rerun as rr
+from PIL import Image
 from rerun.chunk import Chunk, RrdReader
 from scipy.spatial.transform import Rotation
 
@@ -21,6 +23,7 @@ from spinpipe.pipeline.drawing import palette
 from spinpipe.pipeline.drawing.draw import DRAW
 from spinpipe.pipeline.drawing.drawing import STAGE_NUMBER
 from spinpipe.pipeline.drawing.parts import LENGTH
+from spinpipe.pipeline.drawing.photos import Photo
 from spinpipe.pipeline.drawing.recording import (
     close_recording,
     find_viewer,
@@ -47,6 +50,7 @@ from spinpipe.schemas import (
     UPRIGHT,
 )
 from spinpipe.schemas.records import (
+    Calibration,
     Cameras,
     CloudTile,
     Cluster,
@@ -389,6 +393,54 @@ def test_what_leans_is_drawn_leaning(tmp_path: Path) -> None:
         np.testing.assert_allclose(column(found, centres)[-1][0], expected, atol=1e-6)
     frame = column(chunks(path, "/frames/candidate"), "Transform3D:quaternion")[-1]
     assert Rotation.from_quat(frame[0]).approx_equal(turn, atol=1e-5)
+
+
+def test_a_candidate_is_shown_in_the_photo_that_has_it_largest(tmp_path: Path) -> None:
+    """A camera 12 m above the first candidate, its photo green where the box's base lies."""
+    width, height, focal = 600, 400, 500.0
+    pixels = np.full((height, width, 3), 250, np.uint8)
+    pixels[200 - 41 : 200 + 41, 300 - 82 : 300 + 82] = (0, 200, 0)
+    Image.fromarray(pixels).save(tmp_path / "near.png")
+    Image.fromarray(pixels).save(tmp_path / "far.png")
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    down = (1.0, 0.0, 0.0, 0.0)  # looks along -z, its right is +x
+    names = ("near.png", "far.png", "gone.png")
+    heights = np.array([[0, 0, 12.0], [0, 0, 30.0], [0, 0, 11.0]])
+    run = make_run()
+    run = run.with_messages(CAMERAS, [Cameras(heights, np.array([down] * 3), names)])
+    lenses = [Calibration(name, width, height, K, "plumb_bob", (0.0,) * 5) for name in names]
+    run = run.with_messages(CALIBRATIONS, lenses)
+    run = run.with_messages(SCENE, [replace(run(SCENE)[0], photos=str(tmp_path))])
+    run = run.with_messages(UPRIGHT, [Upright((0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0))])
+    low = replace(make_detection(0, "saloon", "accepted"), heading_deg=0.0, size_m=(4.0, 2.0, 0.01))
+    aside = replace(make_detection(1, "saloon", "rejected"), position_world=(90.0, 0.0, 0.0))
+    path = draw(tmp_path / "run.rrd", run.with_messages(DETECTIONS, [low, aside]))
+    (blob,) = column(chunks(path, "/candidate/photo/image", static=False), "EncodedImage:blob")
+    cut = np.asarray(Image.open(io.BytesIO(bytes(blob[0]))).convert("RGB")).astype(int)
+    (strips,) = column(chunks(path, "/candidate/photo/box", static=False), "LineStrips2D:strips")
+    corners = np.array(strips).reshape(-1, 2)
+    u, v = np.mgrid[: cut.shape[1], : cut.shape[0]]
+    inside = (u > corners[:, 0].min()) & (u < corners[:, 0].max())
+    inside &= (v > corners[:, 1].min()) & (v < corners[:, 1].max())
+    green = (cut[..., 0] < 128).T
+    assert (inside == green).mean() > 0.98
+    cleared = chunks(path, "/candidate/photo", static=False)
+    assert column(cleared, "candidate") == [1000]
+    planes = chunks(path, "/ingest/cameras/**")
+    assert len(column(planes, "Pinhole:image_from_camera")) == 3
+    assert len(column(planes, "EncodedImage:blob")) == 2
+
+
+def test_a_wide_lens_bends_as_opencv_says() -> None:
+    """[docs.opencv.org, camera calibration]: x (1 + k1 r^2 + ...) + 2 p1 x y + p2 (r^2 + 2 x^2)."""
+    lens = Calibration("a", 100, 100, np.eye(3), "plumb_bob", (0.1, 0.01, 0.02, 0.03, 0.001))
+    photo = Photo("a", None, np.zeros(3), np.eye(3), lens)
+    ((u, v, depth),) = photo.project(np.array([[1.0, 2.0, 2.0]]))
+    x, y, r2 = 0.5, 1.0, 1.25
+    radial = 1 + 0.1 * r2 + 0.01 * r2**2 + 0.001 * r2**3
+    assert u == pytest.approx(x * radial + 2 * 0.02 * x * y + 0.03 * (r2 + 2 * x * x))
+    assert v == pytest.approx(y * radial + 0.02 * (r2 + 2 * y * y) + 2 * 0.03 * x * y)
+    assert depth == 2.0
 
 
 def test_own_spin_image_stands_beside_the_model_s(recording: Path) -> None:
