@@ -59,7 +59,14 @@ def _scene_views(eye: rrb.EyeControls3D, pieces: int) -> list[rrb.Spatial3DView]
     """The scene in its colours, by correlation, by height, and as the threshold falls."""
     far = rr.Points3D.from_fields(radii=_FAR_RADIUS)
     cloud, marks = "+ /ingest/cloud/**", ["+ /cluster/**", "+ /verify/**", "- /verify/fit/**"]
-    photo = [cloud, "+ /ingest/cameras/**", "+ /ground/**", "+ /scan/hits/**", *marks]
+    photo = [
+        cloud,
+        "+ /ingest/cameras/**",
+        "+ /ingest/trajectory/**",
+        "+ /ground/**",
+        "+ /scan/hits/**",
+        *marks,
+    ]
     past = rr.VisibleTimeRange(
         "threshold",
         start=rr.TimeRangeBoundary.infinite(),

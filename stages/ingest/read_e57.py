@@ -28,6 +28,7 @@ _CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
 _SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
 _INVALID = ("cartesianInvalidState", "sphericalInvalidState")
 """0: the point has coordinates; 1: only a direction; 2: nothing [ASTM E2807, 8.4.4]."""
+_METRES = Coordinates(name="metres", metres=(1.0, 1.0, 1.0), source="the E57 standard")
 _COLOURS = ("colorRed", "colorGreen", "colorBlue")
 
 
@@ -53,7 +54,7 @@ class E57Source:
         self.points, self.coloured = header.points, header.coloured
         self._full = header.full
         crs = parse_crs(header.system) if header.system else None
-        told = from_crs(crs, "E57 header") if crs else beside(path) or Coordinates()
+        told = from_crs(crs, "E57 header") if crs else beside(path) or _METRES
         self.about = About(
             kind=f"E57, {header.scans} scan{'s' if header.scans > 1 else ''}",
             fields=header.fields,

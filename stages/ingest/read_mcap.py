@@ -13,6 +13,7 @@ from mcap.reader import make_reader
 
 from spinpipe.schemas.arrays import F64, U8
 from spinpipe.stages.ingest.cloud_message import CloudMessage, Decode, decoder
+from spinpipe.stages.ingest.coordinates import Coordinates
 from spinpipe.stages.ingest.guarded import guarded
 from spinpipe.stages.ingest.packed_points import CHANNELS, colours_of, xyz_of
 from spinpipe.stages.ingest.scene_source import About, Chunk
@@ -21,6 +22,7 @@ from spinpipe.stages.stage import StageError
 FIXED_FRAMES = ("map", "odom", "world", "earth", "local")
 """Frames that do not move with the sensor: those of ROS REP 105, and what Foxglove and we use."""
 
+_METRES = Coordinates(name="metres", metres=(1.0, 1.0, 1.0), source="ROS REP 103")
 _TIMES = ("t", "time", "timestamp", "timestamps", "time_stamp", "offset_time")
 """What drivers call the time of a point: Ouster, Velodyne, Hesai and Robosense, Livox."""
 
@@ -77,6 +79,7 @@ class McapSource:
             kind=f"MCAP, {found.schema} ({found.encoding}) on {found.topic}"
             + (f", {self.sweeps:,} sweeps" if self.sweeps > 1 else ""),
             fields=tuple(name for name in found.fields if name not in ("x", "y", "z")),
+            coordinates=_METRES if found.schema.startswith("sensor_msgs/") else Coordinates(),
         )
 
     @property

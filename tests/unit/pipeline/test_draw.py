@@ -253,6 +253,7 @@ def test_entities_are_named_after_stages_and_topics(recording: Path) -> None:
     assert {
         "/ingest/cloud/0000",
         "/ingest/cameras",
+        "/ingest/trajectory",
         "/ground/plane",
         "/scan/correlation/0002",
         "/scan/hits/saloon",
