@@ -35,8 +35,9 @@ class EvidenceColumns(NamedTuple):
     rms_m: float
     """Root mean square distance of the explained points to the surface; infinite without any."""
     drop: float
-    """See ``outline_evidence``; ``ring`` is how much of the outline was observed."""
+    """This to ``grounded``: see ``outline_evidence``."""
     ring: float
+    grounded: float
     side_supported: float
     """Shares of the upright surface, see ``side_evidence``."""
     side_contradicted: float
@@ -87,6 +88,7 @@ def gather_evidence(grid, body, field, pose, gate, sharp):
         root_mean_square(claim),
         outline.drop,
         outline.ring,
+        outline.grounded,
         side_supported,
         side_contradicted,
         outline.front,

@@ -20,6 +20,10 @@ LEVEL = 0.1
 gate."""
 TALL = 0.25
 """What ends lower, as a share of the model's height, is level with the ground too easily."""
+FAR = 0.5
+"""How far from the outline what the object stands on is looked for, in half widths: chosen."""
+DEEP = 0.2
+"""How far below the base, as a share of the height, the scene shows that nothing stands there."""
 SIDES = 4
 """Front, left, back and right: +x, +y, -x and -y of the object."""
 
@@ -27,12 +31,14 @@ SIDES = 4
 class Outline(NamedTuple):
     """How far the scene drops outside the outline, 0..1, and on how much of it it goes on.
 
-    ``ring`` is how much of the outline was observed; ``front`` to ``right`` are the drops at the
-    sides, ``front_level`` to ``right_level`` the shares of them where it goes on.
+    ``ring`` is how much of the outline was observed, ``grounded`` on how much of it, where the
+    scene drops at all, it drops to the base and no deeper; ``front`` to ``right`` are the drops at
+    the sides, ``front_level`` to ``right_level`` the shares of them where it goes on.
     """
 
     drop: float
     ring: float
+    grounded: float
     front: float
     left: float
     back: float
@@ -43,12 +49,51 @@ class Outline(NamedTuple):
     right_level: float
 
 
+class Column(NamedTuple):
+    """What a column of the scene shows below a ceiling, and the lowest point above that."""
+
+    count: int
+    level: float
+    """Upper quartile of the heights: where the scene shows ground below things, things go on."""
+    top: float
+    """Upper decile."""
+    overhead: float
+
+
+@inner
+def _column(grid, x, y, radius_m, base, ceiling):
+    """Heights above ``base`` in a column."""
+    cells = window(grid, x, y, radius_m)
+    total = 0
+    for i in range(cells.first, cells.past):
+        total += len(points_of(grid, cells, i))
+    heights = np.empty(total)
+    count = 0
+    overhead = np.inf
+    for i in range(cells.first, cells.past):
+        for n in points_of(grid, cells, i):
+            dx, dy = grid.points[n, 0] - x, grid.points[n, 1] - y
+            if dx * dx + dy * dy > radius_m * radius_m:
+                continue
+            z = grid.points[n, 2] - base
+            if z > ceiling:
+                overhead = min(overhead, z)
+            else:
+                heights[count] = z
+                count += 1
+    if count == 0:
+        return Column(0, 0.0, 0.0, overhead)
+    ascending = np.sort(heights[:count])
+    return Column(count, ascending[(3 * count) // 4], ascending[(9 * count) // 10], overhead)
+
+
 @inner
 def outline_evidence(grid, field, pose, gate):
     """How far the scene drops just outside the model's outline.
 
     A body ends where the model ends; a wall, a hedge or a roof that only contains the model's
-    shape goes on.
+    shape goes on. What stands on something is surrounded by that; a crown or a ridge that looks
+    like the model from above falls on past where its base would be.
 
     Parameters
     ----------
@@ -64,57 +109,52 @@ def outline_evidence(grid, field, pose, gate):
         inside - scene height outside) / model height; a side hardly observed counts as 1.
         The scene goes on where a surface outside is level with the one inside.
     """
-    points, outline, normals = grid.points, field.outline, field.outline_normals
+    outline, normals = field.outline, field.outline_normals
     column_m = COLUMN_CELLS * grid.cell_m
     beyond_m = gate + column_m
+    apart_m = beyond_m + FAR * min(field.size[0] * pose[4], field.size[1] * pose[5]) / 2
+    height = field.size[2] * pose[6]
+    deep_m = max(gate, DEEP * height)
     c, s = math.cos(pose[3]), math.sin(pose[3])
-    radius2 = column_m * column_m
     drops = np.zeros(SIDES)
     levels = np.zeros(SIDES)
     observed = np.zeros(SIDES)
     whole = np.zeros(SIDES)
+    at_base = 0
+    deeper = 0
     tall = field.outline_height > TALL * field.size[2]
     for k in range(outline.shape[0]):
-        mx = outline[k, 0] * pose[4] + normals[k, 0] * beyond_m
-        my = outline[k, 1] * pose[5] + normals[k, 1] * beyond_m
-        x = pose[0] + c * mx - s * my
-        y = pose[1] + s * mx + c * my
+        mx, my = outline[k, 0] * pose[4], outline[k, 1] * pose[5]
+        fx, fy = mx + normals[k, 0] * apart_m, my + normals[k, 1] * apart_m
+        around = _column(
+            grid, pose[0] + c * fx - s * fy, pose[1] + s * fx + c * fy, column_m, pose[2], height
+        )
+        if around.count > 0 and around.level <= deep_m:
+            if around.level >= -deep_m:
+                at_base += 1
+            else:
+                deeper += 1
+        nx, ny = mx + normals[k, 0] * beyond_m, my + normals[k, 1] * beyond_m
         side = side_of(normals[k, 0], normals[k, 1], abs(normals[k, 0]), abs(normals[k, 1]))
         whole[side] += 1.0
         inner_height = field.outline_height[k] * pose[6]
-        count = 0
-        overhead = np.inf
-        cells = window(grid, x, y, column_m)
-        total = 0
-        for i in range(cells.first, cells.past):
-            total += len(points_of(grid, cells, i))
-        heights = np.empty(total)
-        for i in range(cells.first, cells.past):
-            for n in points_of(grid, cells, i):
-                dx, dy = points[n, 0] - x, points[n, 1] - y
-                if dx * dx + dy * dy > radius2:
-                    continue
-                z = points[n, 2] - pose[2]
-                if z > inner_height + beyond_m:
-                    overhead = min(overhead, z)
-                else:
-                    heights[count] = z
-                    count += 1
-        if count > 0:
-            # the upper quartile: where the scene shows ground below things, things still go on
-            ascending = np.sort(heights[:count])
-            level, top = ascending[(3 * count) // 4], ascending[(9 * count) // 10]
-            drop = min(max((inner_height - level) / inner_height, 0.0), 1.0)
+        beside = _column(
+            grid, pose[0] + c * nx - s * ny, pose[1] + s * nx + c * ny, column_m, pose[2],
+            inner_height + beyond_m,
+        )  # fmt: skip
+        if beside.count > 0:
+            drop = min(max((inner_height - beside.level) / inner_height, 0.0), 1.0)
             drops[side] += drop
-            level_with = abs(inner_height - top) <= max(gate, LEVEL * inner_height)
-            if level_with and tall[k] and drop < TOUCHED and overhead > 2 * inner_height:
+            level_with = abs(inner_height - beside.top) <= max(gate, LEVEL * inner_height)
+            if level_with and tall[k] and drop < TOUCHED and beside.overhead > 2 * inner_height:
                 levels[side] += 1.0
-        elif overhead > 2 * inner_height:
+        elif beside.overhead > 2 * inner_height:
             continue  # nothing seen, or a crown or a roof that hides what is below it
         observed[side] += 1.0
+    grounded = at_base / (at_base + deeper) if at_base + deeper > 0 else 1.0
     seen = observed.sum()
     if seen == 0.0:
-        return Outline(0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0)
+        return Outline(0.0, 0.0, grounded, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0)
     share = np.ones(SIDES)
     level_share = np.zeros(SIDES)
     for side in range(SIDES):
@@ -122,7 +162,7 @@ def outline_evidence(grid, field, pose, gate):
             share[side] = drops[side] / observed[side]
             level_share[side] = levels[side] / observed[side]
     return Outline(
-        drops.sum() / seen, seen / outline.shape[0],
+        drops.sum() / seen, seen / outline.shape[0], grounded,
         share[0], share[1], share[2], share[3],
         level_share[0], level_share[1], level_share[2], level_share[3],
     )  # fmt: skip

@@ -21,7 +21,7 @@ scene: points in the model's bounding box that lie on its surface, beyond chance
 swallows the shape, how many there are.
 residual: how much closer they lie than chance would put them.
 outline: how far the scene drops where the model ends.
-stands: whether the base is at the local ground."""
+stands: whether the base is at the local ground, and that around the outline."""
 
 HIDDEN = 0.5
 """Weight of surface below something else: less than what is seen through, more than nothing."""
@@ -37,15 +37,15 @@ WORTHLESS = 1e-3
 """Part from which less makes no difference."""
 LITTLE = 0.1
 """Merit of being better than a right instance usually is: enough to choose between headings."""
-POWERS = (6.5, 2.0, 1.0, 7.0, 9.5, 3.0)
+POWERS = (6.5, 3.0, 1.5, 6.5, 9.5, 4.0)
 """Of the parts: how much a share of what a right instance shows is worth, in log odds.
 
 Rounded from a logistic regression with weights of at least 0 over the distinct candidates of eight
 labelled cases of six scenes, each with equal weight, as many right as wrong ones; a scene that is
-left out is judged as well by what the others say (docs/verification.md). sides, scene and stands
-are chosen: there they tell next to nothing, but on artificial scenes decoys show in them.
+left out is judged as well by what the others say (docs/verification.md). sides is
+chosen: less than there, because it is judged wherever the sensor was.
 """
-ODDS = 4.4
+ODDS = 4.8
 """Logarithm of the odds that what is as good as a right instance is one; measured likewise."""
 
 
@@ -93,6 +93,7 @@ def score_parts(
     residual = 1.0 - np.minimum(3.0 * (column["rms_m"] / limits.gate_m) ** 2, 1.0)
     # many points make the ground, so its height is known much better than the noise of one
     stands = np.clip(2.0 - np.abs(above_ground_m) / (STANDS * height_m), 0.0, 1.0)
+    stands = stands * column["grounded"]
     return np.stack([model, sides, scene, residual, np.cbrt(column["drop"]), stands], axis=1)
 
 
