@@ -69,7 +69,8 @@ def verify_by_evidence(
     for verdict in decide(found.examiner, found.table, places, rules):
         cluster = clusters[verdict.candidate]
         rivals = found.table.rows(rows_of[verdict.candidate])
-        course = found.courses.get(verdict.candidate)
+        courses = found.courses.get(verdict.candidate, [])
+        course = next((c for c in courses if np.allclose(c.poses[-1], verdict.pose)), None)
         yield (
             _detection(candidates, verdict, found.examiner, rules),
             _trace(cluster, verdict, rivals, course),
@@ -147,7 +148,7 @@ def _trace(
     rms_m = np.full((len(ends), len(poses)), np.nan, np.float32)
     rms_m[:, -1] = ends
     if course is not None:
-        rms_m[np.argmax(rivals.odds)] = course.rms_m
+        rms_m[np.argmin(np.abs(rivals.pose - verdict.pose).sum(axis=1))] = course.rms_m
     rms_m[np.isinf(rms_m)] = np.nan
     return FitTrace(
         cluster=cluster.id,

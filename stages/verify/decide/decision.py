@@ -26,8 +26,8 @@ NO_ODDS = -99.0
 def decide(examiner: Examiner, table: Hypotheses, places: F64, rules: Rules) -> list[Verdict]:
     """The verdict on every candidate, given all hypotheses."""
     table = explain_neighbours(examiner, table, rules.min_score)
-    best = table.rows(table.best_rows())
-    near = standing(examiner, best, rules.min_score)
+    near = standing(examiner, table, rules.min_score)
+    best = near.best
     continuing = first_continuing(
         best.evidence[:, [EVIDENCE.index(f"{side}_level") for side in SIDES]],
         explained_sides(best.pose[:, :4], examiner.sizes(best), near.poses, near.sizes),

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logit
 
 from spinpipe.stages.verify.decide.continuation import SIDES, explained_sides
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
@@ -31,16 +32,19 @@ class Standing(NamedTuple):
 
     poses: F64
     sizes: F64
+    best: Hypotheses
+    """What each candidate stands for, see ``Examiner.chosen_rows``."""
     displaced_by: NDArray[np.int64]
-    """(S,) of all fits, see ``resolve``."""
+    """(C,) of these, see ``resolve``."""
 
 
-def standing(examiner: Examiner, best: Hypotheses, min_score: float) -> Standing:
-    """Which of the best hypotheses of all candidates are instances as far as is known."""
+def standing(examiner: Examiner, table: Hypotheses, min_score: float) -> Standing:
+    """Which candidates are instances as far as is known, given all hypotheses."""
+    best = table.rows(examiner.chosen_rows(table, float(logit(min_score))))
     poses, sizes = best.pose[:, :4], examiner.sizes(best)
     displaced_by = resolve(poses, sizes, best.rank)
     stays = (displaced_by < 0) & (best.score >= min_score)
-    return Standing(poses[stays], sizes[stays], displaced_by)
+    return Standing(poses[stays], sizes[stays], best, displaced_by)
 
 
 def explain_neighbours(examiner: Examiner, table: Hypotheses, min_score: float) -> Hypotheses:
@@ -54,13 +58,11 @@ def explain_neighbours(examiner: Examiner, table: Hypotheses, min_score: float) 
         return table
     touched = table.rows(rows)
     drops, sizes = drops[rows], examiner.sizes(touched)
-    outline = sizes[:, [1, 0, 1, 0]]
-    outline = outline / outline.sum(axis=1, keepdims=True)
     seen, before = table, np.zeros(0)
     for _ in range(ROUNDS):
-        near = standing(examiner, seen.rows(seen.best_rows()), min_score)
+        near = standing(examiner, seen, min_score)
         explained = explained_sides(touched.pose[:, :4], sizes, near.poses, near.sizes)
-        hidden = (outline * (1.0 - drops) * (explained & (drops < TOUCHED))).sum(axis=1)
+        hidden = ((1.0 - drops) * (explained & (drops < TOUCHED))).mean(axis=1)
         drop = np.clip(touched.evidence[:, EVIDENCE.index("drop")] + hidden, 0.0, 1.0)
         parts, value = table.parts.copy(), table.odds.copy()
         parts[rows, PARTS.index("outline")] = np.cbrt(drop)

@@ -52,7 +52,8 @@ class Outline(NamedTuple):
 class Column(NamedTuple):
     """What a column of the scene shows below a ceiling, and the lowest point above that."""
 
-    count: int
+    seen: int
+    """Number of points."""
     level: float
     """Upper quartile of the heights: where the scene shows ground below things, things go on."""
     top: float
@@ -105,9 +106,11 @@ def outline_evidence(grid, field, pose, gate):
     Returns
     -------
     Outline
-        Drops are means over the observed outline, all of it and of each side, of (model height
-        inside - scene height outside) / model height; a side hardly observed counts as 1.
-        The scene goes on where a surface outside is level with the one inside.
+        Drops are means over the observed outline of each side of (model height inside - scene
+        height outside) / model height; a side hardly observed counts as 1. In the mean over the
+        sides each counts by how much of it was observed, whatever its length: the ends alone tell
+        where along its axis a long object stands. The scene goes on where a surface outside is
+        level with the one inside.
     """
     outline, normals = field.outline, field.outline_normals
     column_m = COLUMN_CELLS * grid.cell_m
@@ -129,7 +132,7 @@ def outline_evidence(grid, field, pose, gate):
         around = _column(
             grid, pose[0] + c * fx - s * fy, pose[1] + s * fx + c * fy, column_m, pose[2], height
         )
-        if around.count > 0 and around.level <= deep_m:
+        if around.seen > 0 and around.level <= deep_m:
             if around.level >= -deep_m:
                 at_base += 1
             else:
@@ -142,7 +145,7 @@ def outline_evidence(grid, field, pose, gate):
             grid, pose[0] + c * nx - s * ny, pose[1] + s * nx + c * ny, column_m, pose[2],
             inner_height + beyond_m,
         )  # fmt: skip
-        if beside.count > 0:
+        if beside.seen > 0:
             drop = min(max((inner_height - beside.level) / inner_height, 0.0), 1.0)
             drops[side] += drop
             level_with = abs(inner_height - beside.top) <= max(gate, LEVEL * inner_height)
@@ -157,12 +160,15 @@ def outline_evidence(grid, field, pose, gate):
         return Outline(0.0, 0.0, grounded, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0)
     share = np.ones(SIDES)
     level_share = np.zeros(SIDES)
+    drop, weight = 0.0, 0.0
     for side in range(SIDES):
+        drop += drops[side] / max(whole[side], 1.0)
+        weight += observed[side] / max(whole[side], 1.0)
         if observed[side] >= max(0.5 * whole[side], 1.0):
             share[side] = drops[side] / observed[side]
             level_share[side] = levels[side] / observed[side]
     return Outline(
-        drops.sum() / seen, seen / outline.shape[0], grounded,
+        drop / weight, seen / outline.shape[0], grounded,
         share[0], share[1], share[2], share[3],
         level_share[0], level_share[1], level_share[2], level_share[3],
     )  # fmt: skip

@@ -16,6 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spinpipe.stages.compiled import inner
+from spinpipe.stages.verify.model.lookup import FieldArrays
 
 SLACK = 1.0001
 """Above the rounding of float32 sums over a few hundred points."""
@@ -60,6 +61,12 @@ def offset_steps(field, limits):
     reach_x = field.top_half[0] if field.top_half[0] > LONG_TOP * narrow else limits.offset_m
     reach_y = field.top_half[1] if field.top_half[1] > LONG_TOP * narrow else limits.offset_m
     return int(math.ceil(reach_x / limits.step_m)), int(math.ceil(reach_y / limits.step_m))
+
+
+def has_long_top(field: FieldArrays) -> bool:
+    """Whether a candidate may lie anywhere along the top of a model."""
+    narrow = min(field.size[0], field.size[1]) / 2
+    return bool(field.top_half.max() > LONG_TOP * narrow)
 
 
 @inner

@@ -24,6 +24,7 @@ from spinpipe.stages.geometry.support import (
     support_halo_m,
 )
 from spinpipe.stages.threads import map_threads
+from spinpipe.stages.verify.fit.coarse_bounds import has_long_top
 from spinpipe.stages.verify.judge.hypotheses import (
     Course,
     Place,
@@ -42,11 +43,15 @@ from spinpipe.stages.verify.model.lookup import field_arrays
 from spinpipe.stages.verify.scene.cell_grid import CellGrid, grid_of
 
 STARTS = 3
-"""How many coarse poses of a candidate are refined."""
+"""How many coarse poses of a candidate are refined; twice as many where it may lie anywhere along
+the top of a long object."""
 LONG = 1.5
 """Length over width from which a quarter turn brings no model near itself."""
 WORTH_A_SECOND_LOOK = -12.0
 """Log odds from which a place is tried with all models and headings."""
+WORTH_ANOTHER_PLACE = -6.0
+"""Log odds from which a candidate is examined elsewhere than where it fits best, if another one
+stands there: chosen, few hypotheses gain more from a second look."""
 BASE_SLACK = 0.15
 """How far the base may be off its support, as a share of the height: chosen."""
 
@@ -56,8 +61,8 @@ class Examination:
     """All hypotheses about some candidates, and how those that are any good came about."""
 
     table: Hypotheses
-    courses: dict[int, Course]
-    """Of the best hypothesis, by candidate."""
+    courses: dict[int, list[Course]]
+    """Of the hypotheses that a candidate may stand for, by candidate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +100,7 @@ class Examiner:
         self.expected = tuple(r.points for r in right)
         self.stretch = np.array([o.stretch for o in objects])
         self.height_m = np.array([o.field.size[2] for o in objects])
+        self.starts = tuple(STARTS * (2 if has_long_top(a) else 1) for a in self.arrays)
         self.support_reach_m = reach_of(max(o.field.reach_m * (1 + o.stretch) for o in objects))
 
         self.scene_m: tuple[float, ...] = tuple(
@@ -126,7 +132,9 @@ class Examiner:
         def look(c: int) -> Hypotheses:
             place, m = block.places[c], int(proposed[c])
             scene = place.scene(block.grid, self.scene_m[m])
-            pose, gain = coarse_poses(scene, self.arrays[m], self.limits[m], place.top, STARTS)
+            pose, gain = coarse_poses(
+                scene, self.arrays[m], self.limits[m], place.top, self.starts[m]
+            )
             pose = pose[gain > 0]
             model = np.full(len(pose), m)
             if len(pose):  # its like may fit where it does not
@@ -155,7 +163,7 @@ class Examiner:
         block = self.block(points, places, proposed)
         again = self._refined(block, best.candidate, best.model, best.pose, threads)
         table = Hypotheses.joined([again, self._rivals(block, again, threads)])
-        return Examination(table, self._courses(block, table.rows(table.best_rows())))
+        return Examination(table, self._courses(block, table))
 
     def block(self, points: NDArray[np.floating], places: F64, proposed: I64) -> Block:
         """Where each of some candidates stands, given the points around."""
@@ -271,16 +279,32 @@ class Examiner:
         lost = merits(parts[None], self.reference[[model]])[0]
         return PARTS[int(np.argmin(lost))]
 
-    def _courses(self, block: Block, best: Hypotheses) -> dict[int, Course]:
-        courses: dict[int, Course] = {}
-        for k in np.flatnonzero(best.odds >= WORTH_A_SECOND_LOOK):
-            m, c = int(best.model[k]), int(best.candidate[k])
+    def _courses(self, block: Block, table: Hypotheses) -> dict[int, list[Course]]:
+        """Of the best hypothesis of each candidate, and of what it may stand for instead."""
+        rows = np.union1d(table.best_rows(), self.chosen_rows(table, WORTH_ANOTHER_PLACE))
+        courses: dict[int, list[Course]] = {}
+        for k in rows[table.odds[rows] >= WORTH_A_SECOND_LOOK].tolist():
+            m, c = int(table.model[k]), int(table.candidate[k])
             place = block.places[c]
             scene = place.scene(block.grid, max(self.scene_m))
-            start = place.from_world(best.start[[k]])[0]
+            start = place.from_world(table.start[[k]])[0]
             way = course_of(scene, self.arrays[m], self.limits[m], start)
-            courses[c] = Course(place.to_world(way.poses), way.rms_m)
+            courses.setdefault(c, []).append(Course(place.to_world(way.poses), way.rms_m))
         return courses
+
+    def chosen_rows(self, table: Hypotheses, least_odds: float) -> I64:
+        """Row of the hypothesis that each candidate stands for, by candidate.
+
+        The best one; where a better one of another candidate already stands there, the next one
+        that is good enough in itself: candidates in a row slide to their neighbours.
+        """
+        chosen = table.best_rows()
+        rows = np.flatnonzero(table.odds >= least_odds)
+        good = table.rows(rows)
+        poses, sizes = good.pose[:, :4], self.sizes(good)
+        apart = rows[resolve(poses, sizes, good.rank, candidate=good.candidate) < 0]
+        chosen[np.searchsorted(table.candidate[chosen], table.candidate[apart])] = apart
+        return chosen
 
     def sizes(self, table: Hypotheses) -> F64:
         """(S, 3) fitted extents of hypotheses."""

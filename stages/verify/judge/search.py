@@ -13,7 +13,12 @@ from spinpipe.schemas.arrays import F32, F64, I64
 from spinpipe.schemas.records import Sampling
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.verify.judge.errors import measured_errors
-from spinpipe.stages.verify.judge.examiner import Examination, Examiner, blocks
+from spinpipe.stages.verify.judge.examiner import (
+    WORTH_ANOTHER_PLACE,
+    Examination,
+    Examiner,
+    blocks,
+)
 from spinpipe.stages.verify.judge.hypotheses import Course
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
 from spinpipe.stages.verify.judge.tolerance import greatest_error_m
@@ -33,7 +38,7 @@ class Found:
 
     examiner: Examiner
     table: Hypotheses
-    courses: dict[int, Course]
+    courses: dict[int, list[Course]]
 
 
 @dataclass(frozen=True)
@@ -91,12 +96,12 @@ class Search:
             looks.append(replace(seen, candidate=rows[seen.candidate]))
             advance(len(rows))
         first = Hypotheses.joined(looks)
-        first = first.rows(first.best_rows())
+        first = first.rows(examiner.chosen_rows(first, WORTH_ANOTHER_PLACE))
         errors = measured_errors(examiner, first) if error_m is None else [error_m] * len(most)
         examiner = Examiner(self.objects, self.sampling, errors)
         jobs = self._by_block(first, rows_of_blocks)
         tables: list[Hypotheses] = []
-        courses: dict[int, Course] = {}
+        courses: dict[int, list[Course]] = {}
         examined = map_blocks(partial(_examine, self._task(examiner)), jobs)
         for (rows, _), seen in zip(jobs, examined, strict=True):
             tables.append(replace(seen.table, candidate=rows[seen.table.candidate]))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.unit.verify.standing import cloud_of, found_in, known_object, verdicts_on
 
-from spinpipe.stages.geometry.shapes import box, cylinder, merged, placed, sample_surface
+from spinpipe.stages.geometry.shapes import Mesh, box, cylinder, merged, placed, sample_surface
 from spinpipe.stages.verify.judge.scoring import log_odds
 from spinpipe.stages.verify.model.field import build_model_field
 
@@ -70,3 +70,34 @@ def test_a_right_instance_scores_high_in_anycloud_of():
         reference = found_in(cloud, cabinet, [(0, 0, 1.2)]).examiner.reference
         assert log_odds(reference, reference)[0] > 3
         assert verdicts_on(cloud, cabinet, [(0, 0, 1.2)])[0].score > 0.9
+
+
+def test_what_falls_past_its_base_stands_on_nothing():
+    """A crown or a heap that looks like the model from above goes on below it."""
+    model, heap = _frustum(0.8, 0.4, 0.8), _frustum(2.0, 0.4, 3.2)
+    hedge = placed(box(6.0, 1.0, 2.4), (0, -2.4, 0))  # a level to stand on, beside it
+    cloud = cloud_of([heap, hedge, placed(model, (5, 3, 0))], 16, 400, noise=0.01)
+    known = known_object("pedestal", model, visible_from="above")
+    on_heap, on_ground = verdicts_on(cloud, [known], [(0, 0, 3.2), (5, 3, 0.8)])
+    assert on_ground.fate == "accepted"
+    assert on_ground.evidence["grounded"] == 1.0
+    assert on_heap.fate == "rejected"
+    assert on_heap.evidence["grounded"] < 0.5
+
+
+def _frustum(bottom, top, height):
+    vertices, faces = cylinder(1.0, height, 32)
+    radius = np.where(vertices[:, 2:] > height / 2, top, bottom)
+    return Mesh(vertices * np.c_[radius, radius, np.ones(len(vertices))], faces)
+
+
+def test_the_ends_tell_where_along_its_axis_a_long_object_stands():
+    """In a tight row only a small part of the outline does."""
+    wagon = box(6.0, 1.0, 1.2)
+    row = [placed(wagon, (0, 1.1 * k, 0)) for k in range(5)]
+    cloud = cloud_of(row, 16, 400, noise=0.03)
+    known = known_object("wagon", wagon, visible_from="above")
+    places = [(-1.5 + 0.7 * k, 1.1 * k, 1.2) for k in range(5)]
+    verdicts = verdicts_on(cloud, [known], places)
+    assert [v.fate for v in verdicts] == ["accepted"] * 5
+    assert np.abs([v.pose[0] for v in verdicts]).max() < 0.15

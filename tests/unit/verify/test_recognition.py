@@ -75,14 +75,19 @@ def test_threads_order_and_blocks_leave_no_trace(cars, lot):
 def test_courses_lead_from_the_start_to_the_fit(cars, lot):
     cloud = cloud_of(lot, 24, 110)
     found = found_in(cloud, cars, PLACES)
-    best = found.table.rows(found.table.best_rows())
+    table = found.table
     assert {0, 1, 3} <= set(found.courses)
-    for candidate, course in found.courses.items():
-        k = list(best.candidate).index(candidate)
-        assert np.array_equal(course.poses[0], best.start[k])
-        assert np.array_equal(course.poses[-1], best.pose[k])
-        assert course.rms_m[-1] == best.evidence[k, EVIDENCE.index("rms_m")]
-        assert 2 < len(course.poses) == len(course.rms_m)
+    ends: set[int] = set()
+    for candidate, courses in found.courses.items():
+        for course in courses:
+            rows = np.flatnonzero(table.candidate == candidate)
+            (k,) = rows[(table.pose[rows] == course.poses[-1]).all(axis=1)]
+            assert np.array_equal(course.poses[0], table.start[k])
+            assert course.rms_m[-1] == table.evidence[k, EVIDENCE.index("rms_m")]
+            assert 2 < len(course.poses) == len(course.rms_m)
+            ends.add(int(k))
+    best = table.best_rows()
+    assert set(best[np.isin(table.candidate[best], list(found.courses))].tolist()) <= ends
 
 
 def test_turned_and_shifted_scene_moves_detections_with_it(cars, lot):

@@ -1,20 +1,20 @@
 import numpy as np
 import pytest
 
-from spinpipe.stages.verify.judge.resolve import overlap, resolve
+from spinpipe.stages.verify.judge.resolve import common_m3, resolve
 
 
-def test_overlap_of_boxes():
+def test_common_volume_of_boxes():
     size = np.array([4.0, 2.0, 1.5])
     here = np.array([0.0, 0.0, 0.0, 0.3])
-    assert overlap(here, size, here, size) == pytest.approx(1.0)
-    assert overlap(here, size, here + [0, 0, 0, np.pi], size) == pytest.approx(1.0)
-    assert overlap(here, size, here + [9, 0, 0, 0], size) == 0.0
-    assert overlap(here, size, here + [0, 0, 1.5, 0], size) == 0.0
-    assert overlap(here, size, here + [0, 0, 0.75, 0], size) == pytest.approx(0.5)
+    assert common_m3(here, size, here, size) == pytest.approx(12.0)
+    assert common_m3(here, size, here + [0, 0, 0, np.pi], size) == pytest.approx(12.0)
+    assert common_m3(here, size, here + [9, 0, 0, 0], size) == 0.0
+    assert common_m3(here, size, here + [0, 0, 1.5, 0], size) == 0.0
+    assert common_m3(here, size, here + [0, 0, 0.75, 0], size) == pytest.approx(6.0)
 
 
-def test_overlap_matches_sampling():
+def test_common_volume_matches_sampling():
     rng = np.random.default_rng(5)
     for _ in range(20):
         a, b = rng.uniform(-1, 1, (2, 4)) * [1, 1, 0.5, np.pi]
@@ -24,8 +24,9 @@ def test_overlap_matches_sampling():
         inside = _turn(world - b[:3], -b[3])
         hit = np.all(np.abs(inside[:, :2]) < size_b[:2] / 2, axis=1)
         hit &= (inside[:, 2] > 0) & (inside[:, 2] < size_b[2])
-        expected = hit.mean() * size_a.prod() / min(size_a.prod(), size_b.prod())
-        assert overlap(a, size_a, b, size_b) == pytest.approx(expected, abs=0.01)
+        volume = size_a.prod()
+        expected = pytest.approx(hit.mean() * volume, abs=0.01 * volume)
+        assert common_m3(a, size_a, b, size_b) == expected
 
 
 def _turn(points, yaw):
@@ -48,3 +49,21 @@ def test_neighbours_may_touch_and_nothing_is_nothing():
     sizes = np.tile([4.0, 1.8, 1.5], (2, 1))
     assert (resolve(poses, sizes, np.array([0.9, 0.8])) == -1).all()
     assert len(resolve(np.empty((0, 4)), np.empty((0, 3)), np.empty(0))) == 0
+
+
+def test_what_lies_across_a_row_takes_little_of_each_and_stands_nowhere():
+    row = np.array([[0, 3.0 * k, 0, 0] for k in range(5)])
+    poses = np.vstack([row, [0, 6.0, 0, np.pi / 2]])
+    sizes = np.tile([18.0, 2.7, 3.0], (6, 1))
+    displaced_by = resolve(poses, sizes, np.array([0.8, 0.8, 0.8, 0.8, 0.8, 0.7]))
+    assert (displaced_by[:5] == -1).all()
+    assert displaced_by[5] >= 0
+
+
+def test_of_one_candidate_one_hypothesis_stands_and_the_next_where_the_best_is_taken():
+    # the second candidate fits best where the first stands, and second best beside it
+    poses = np.array([[0, 0, 0, 0], [0.1, 0, 0, 0], [0, 2.5, 0, 0], [0, 5.0, 0, 0]])
+    sizes = np.tile([4.0, 1.8, 1.5], (4, 1))
+    scores = np.array([0.9, 0.8, 0.7, 0.6])
+    candidate = np.array([0, 1, 1, 1])
+    assert resolve(poses, sizes, scores, candidate=candidate).tolist() == [-1, 0, -1, 2]
