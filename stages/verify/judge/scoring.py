@@ -37,15 +37,16 @@ WORTHLESS = 1e-3
 """Part from which less makes no difference."""
 LITTLE = 0.1
 """Merit of being better than a right instance usually is: enough to choose between headings."""
-POWERS = (8.0, 3.0, 1.0, 5.0, 13.0, 5.0)
+POWERS = (8.0, 5.0, 1.5, 5.0, 13.0, 5.0)
 """Of the parts: how much a share of what a right instance shows is worth, in log odds.
 
 Rounded from a logistic regression with weights of at least 0 over the distinct candidates of eight
 labelled cases of six scenes, each with equal weight, as many right as wrong ones; a scene that is
 left out is judged as well by what the others say (docs/verification.md). Rounded towards each other
-where parts tell much the same: outline, model and sides less, residual and scene more.
+where parts tell much the same: outline, model and sides less, residual more; scene, which tells
+next to nothing there, is kept for decoys of artificial scenes.
 """
-ODDS = 5.0
+ODDS = 5.2
 """Logarithm of the odds that what is as good as a right instance is one; measured likewise."""
 
 

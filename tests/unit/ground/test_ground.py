@@ -476,7 +476,7 @@ def test_a_lidar_decides_what_the_points_do_not() -> None:
     rng = np.random.default_rng(0)
 
     def path(z):
-        turn, _ = Rotation.align_vectors([z], [[0, 0, 1]])
+        turn = Rotation.align_vectors([z], [[0, 0, 1]])[0]
         return Trajectory(np.zeros((1, 3)), turn.as_quat()[None], np.zeros(1, np.int64))
 
     room = np.concatenate(
