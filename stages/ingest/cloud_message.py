@@ -80,8 +80,11 @@ class _Cursor:
         size = struct.calcsize(code)
         if self._cdr:  # numbers are aligned to their size
             self._at += -(self._at - self._origin) % size
-        (value,) = struct.unpack_from(self._order + code, self._data, self._at)
-        self._at += size
+        end = self._at + size
+        if end > len(self._data):
+            raise ValueError("it ends too early")
+        (value,) = struct.unpack(self._order + code, self._data[self._at : end])
+        self._at = end
         return value
 
     def bytes(self) -> memoryview:
@@ -110,26 +113,23 @@ def _ros2(data: bytes) -> CloudMessage:
 
 
 def _pointcloud2(cursor: _Cursor) -> CloudMessage:
-    try:
-        seconds, nanoseconds = cursor.number("I"), cursor.number("I")
-        frame = cursor.text()
-        height, width = cursor.number("I"), cursor.number("I")
-        fields = [
-            (cursor.text(), cursor.number("I"), cursor.number("B"), cursor.number("I"))
-            for _ in range(cursor.number("I"))
-        ]
-        order = ">" if cursor.number("B") else "<"
-        step, row_step = cursor.number("I"), cursor.number("I")
-        data = cursor.bytes()
-    except struct.error:
-        raise ValueError("it ends too early") from None
+    seconds, nanoseconds = cursor.number("I"), cursor.number("I")
+    frame = cursor.text()
+    height, width = cursor.number("I"), cursor.number("I")
+    fields = [
+        (cursor.text(), cursor.number("I"), cursor.number("B"), cursor.number("I"))
+        for _ in range(cursor.number("I"))
+    ]
+    order = ">" if cursor.number("B") else "<"
+    step, row_step = cursor.number("I"), cursor.number("I")
+    data = cursor.bytes()
     kinds = ((name, offset, kind, _ROS_TYPES) for name, offset, kind, _ in fields)
     dtype = _row(kinds, step, order)
     if height > 1 and row_step != width * step:  # rows of an image may be padded
         if row_step < width * step or len(data) < height * row_step:
             raise ValueError(f"{height:,} rows of {row_step:,} bytes are not there")
         table = np.frombuffer(data, np.uint8, height * row_step).reshape(height, row_step)
-        data = np.ascontiguousarray(table[:, : width * step]).data.cast("B")
+        data = np.ascontiguousarray(table[:, : width * step]).reshape(-1).data
     return CloudMessage(
         frame,
         seconds * 1_000_000_000 + nanoseconds,
@@ -154,7 +154,7 @@ def _json(data: bytes) -> CloudMessage:
         message = json_format.ParseDict(document, PointCloud(), ignore_unknown_fields=True)
         message.timestamp.seconds = int(time.get("sec", 0))
         message.timestamp.nanos = int(time.get("nsec", 0))
-    except (KeyError, TypeError, AttributeError, json_format.ParseError) as error:
+    except (KeyError, TypeError, AttributeError, OverflowError, json_format.ParseError) as error:
         raise ValueError(f"it is no foxglove.PointCloud: {error}") from None
     message.data = blob
     return _foxglove(message)

@@ -22,6 +22,7 @@ from spinpipe.stages.stage import StageError
 FIXED_FRAMES = ("map", "odom", "world", "earth", "local")
 """Frames that do not move with the sensor: those of ROS REP 105, and what Foxglove and we use."""
 
+_LATEST_NS = 2**63 - 1
 _METRES = Coordinates(name="metres", metres=(1.0, 1.0, 1.0), source="ROS REP 103")
 _TIMES = ("t", "time", "timestamp", "timestamps", "time_stamp", "offset_time")
 """What drivers call the time of a point: Ouster, Velodyne, Hesai and Robosense, Livox."""
@@ -168,7 +169,7 @@ def _sweeps(path: Path, topic: str) -> Iterator[Sweep]:
                 xyz_of(cloud.rows) @ T[:3, :3].T + T[:3, 3],
                 colours_of(cloud.rows),
                 None if times is None else cloud.rows[times].astype(np.float64),
-                cloud.time_ns or message.log_time,
+                min(max(cloud.time_ns or message.log_time, 0), _LATEST_NS),
             )
 
 
