@@ -21,6 +21,7 @@ from spinpipe.pipeline.mcap_file import (
 )
 from spinpipe.pipeline.progress import StageProgress
 from spinpipe.pipeline.run_folder import RunFolder
+from spinpipe.pipeline.views import StageViews
 from spinpipe.schemas.topics import Topic
 from spinpipe.stages import STAGES
 from spinpipe.stages.stage import Progress, Section, Stage
@@ -104,6 +105,8 @@ class RunContext(Generic[C]):
         self.memory_bytes = memory_bytes
         self.scratch = scratch
         self.notes: list[str] = []
+        self.views = StageViews(stage.name, folder)
+        """What viewers get beside the records; to be written when the stage has ended."""
         self._stage = stage
         self._key = key
         self._folder = folder
@@ -125,13 +128,16 @@ class RunContext(Generic[C]):
         """Append to an output topic."""
         self._require(topic, self._stage.outputs, "outputs")
         self._writer.write(topic, message)
+        self.views.see(topic, message)
 
     def recovered(self, topic: Topic[T]) -> Iterator[T]:
         """Messages that an interrupted run had written; they go into the new file as they come."""
         self._require(topic, self._stage.outputs, "outputs")
         for data in recover(self._folder.interrupted(self._stage.name), self._key, topic):
             self._writer.write_bytes(topic, data)
-            yield topic.decode(data)
+            record = topic.decode(data)
+            self.views.see(topic, record)
+            yield record
 
     def progress(self, label: str, total: int) -> Progress:
         """Start a counter."""

@@ -16,10 +16,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import BinaryIO, Generic, TypeVar, cast, overload
+from typing import Any, BinaryIO, Generic, TypeVar, cast, overload
 
 from google.protobuf.message import DecodeError
 from google.protobuf.message import Message as ProtoMessage
+from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.exceptions import McapError
 from mcap.reader import SeekingReader
 from mcap.records import Channel, Message, Metadata
@@ -101,9 +102,12 @@ class StageFileWriter:
         self._counts[topic.name], self._last = count + 1, topic.name
 
     def write_view(self, name: str, seconds: int, message: ProtoMessage) -> None:
-        """Append what only viewers read, so long after the stage's beginning."""
+        """Append what viewers read, so long after the stage's beginning."""
+        count = self._counts.get(name, 0)
+        stamp(message, self._begin_ns + seconds * SECOND_NS)
         data = message.SerializeToString(deterministic=True)
-        self._add(self._channel(name, type(message)), seconds, 0, data)
+        self._add(self._channel(name, type(message)), seconds, count, data)
+        self._counts[name] = count + 1
 
     def _add(self, channel: int, seconds: int, sequence: int, data: bytes) -> None:
         time = self._begin_ns + seconds * SECOND_NS
@@ -133,6 +137,15 @@ class StageFileWriter:
         """Close the file as it is: incomplete."""
         with suppress(OSError):  # a full disk has been told of already
             self._stream.close()
+
+
+def stamp(message: Any, time_ns: int) -> None:
+    """Set the time of one of Foxglove's messages: viewers of transforms go by it."""
+    parts = [message]
+    for name in ("entities", "transforms"):
+        parts = getattr(message, name, parts)
+    for part in parts:
+        part.timestamp.CopyFrom(Timestamp(seconds=time_ns // SECOND_NS))
 
 
 def check(path: Path) -> None:

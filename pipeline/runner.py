@@ -132,6 +132,8 @@ class Runner:
                 step.stage.run(context)
             if input_identities(step.stage, step.config) != step.inputs:
                 raise StageError("an input was changed while it was read; run again")
+            for topic, seconds, message in context.views.messages():
+                writer.write_view(topic, seconds, message)
             report.seconds = round(time.perf_counter() - began, 3)
             report.notes = context.notes
             result = {"seconds": str(report.seconds), "notes": json.dumps(report.notes)}
