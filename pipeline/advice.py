@@ -10,9 +10,17 @@ import numpy as np
 from spinpipe.pipeline.context import RunReader
 from spinpipe.schemas import CLUSTERS, HITS, MODELS, PLANE, SAMPLING, SCENE, SCORES, TILES
 from spinpipe.schemas.records import Detection
+from spinpipe.stages.ground.ground import SMALL
 
-_SMALL_GROUND = 0.02
-"""A ground that holds a smaller share of the surface is perhaps none."""
+_TRY = {
+    "model": "allow [[model]] stretch, or cut one from the scene with 'spinpipe model cut'",
+    "sides": 'allow [[model]] stretch; visible_from = "above" if the photos show no sides',
+    "scene": "the model is smaller than what stands there: is its unit right?",
+    "residual": "allow [[model]] stretch, or state [verify.evidence] tolerance_m",
+    "outline": "what stands there goes on beyond the model: is its unit right?",
+    "stands": "the model's file may have its base elsewhere, or the ground lies higher there",
+}
+"""What to do where a part of the score is the weakest of most candidates."""
 
 
 def advice(read: RunReader, detections: Sequence[Detection]) -> Iterator[str]:
@@ -27,7 +35,7 @@ def advice(read: RunReader, detections: Sequence[Detection]) -> Iterator[str]:
         return
     models, scene, plane = list(read(MODELS)), read(SCENE)[0], read(PLANE)[0]
     sizes = ", ".join(f"{m.name} {' x '.join(f'{v:.3g}' for v in m.size)} m" for m in models)
-    if plane.inliers < _SMALL_GROUND * plane.points:
+    if plane.inliers < SMALL * plane.points:
         yield (
             f"the ground holds only {plane.inliers / plane.points:.1%} of the surface: perhaps up "
             "is wrong; look at the recording and set [ground] up"
@@ -43,7 +51,8 @@ def advice(read: RunReader, detections: Sequence[Detection]) -> Iterator[str]:
         weakest = Counter(min(d.parts, key=lambda p: p.value).name for d in detections if d.parts)
         if weakest:
             name, count = weakest.most_common(1)[0]
-            yield f"of {len(detections)} candidates {count} fail first by '{name}'"
+            mend = f"; {_TRY[name]}" if name in _TRY else ""
+            yield f"of {len(detections)} candidates {count} fail first by '{name}'{mend}"
     tiles = read(TILES)[0]
     extent = " x ".join(f"{v:.3g}" for v in tiles.high.max(axis=0) - tiles.low.min(axis=0))
     yield (

@@ -137,14 +137,24 @@ def inspect(
 @app.command()
 def init(
     path: Annotated[Path, typer.Argument(metavar="[CONFIG]")] = Path("config.toml"),
-    scene: Annotated[str, typer.Option(help="The reconstruction: PLY, LAS or COLMAP.")] = "",
-    model: Annotated[str, typer.Option(help="What to find: a mesh or a cloud.")] = "",
+    scene: Annotated[str, typer.Option(help="The reconstruction.")] = "",
+    model: Annotated[
+        list[str] | None, typer.Option(help="What to find: a mesh or a cloud; repeatable.")
+    ] = None,
+    shape: Annotated[
+        list[str] | None, typer.Option(help="Instead a shape that ships, saloon; repeatable.")
+    ] = None,
+    preset: Annotated[str, typer.Option(help="A config that ships: carpark.")] = "",
+    overrides: SetOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Write a commented config, and an example scene if none is given."""
+    """Look at a scene and models and write a commented config; without a scene, an example.
+
+    Keys that the files tell are filled in; what a run would refuse is refused.
+    """
     from spinpipe.pipeline.commands import init_command
 
-    init_command(path, scene, model, force)
+    init_command(path, scene, model or [], shape or [], preset, overrides or [], force)
 
 
 @app.command()

@@ -11,13 +11,13 @@ from rich.console import Console
 
 from spinpipe.pipeline.advice import advice
 from spinpipe.pipeline.atomic import write_atomically
-from spinpipe.pipeline.config import ConfigError, RunConfig, load_config
+from spinpipe.pipeline.config import ConfigError, RunConfig, config_of, load_config
 from spinpipe.pipeline.context import RunReader, require_origin, thread_count
 from spinpipe.pipeline.demo import DEMO_CONFIG, EXAMPLE_FILES, write_example
 from spinpipe.pipeline.drawing.recording import RecordMode
 from spinpipe.pipeline.engine import open_engine
-from spinpipe.pipeline.init import commented_config
-from spinpipe.pipeline.inspect import Facts, inspect_file
+from spinpipe.pipeline.init import commented_config, filled_in, preset_config
+from spinpipe.pipeline.inspect import Facts, inspect_file, look_again
 from spinpipe.pipeline.outputs import locked, require_new, write_new
 from spinpipe.pipeline.plan import Step, make_plan
 from spinpipe.pipeline.recorder import recorder, recording_key
@@ -28,6 +28,7 @@ from spinpipe.pipeline.run_state import keys_in, require_inputs_apart, write_con
 from spinpipe.pipeline.runner import Runner, report_document
 from spinpipe.pipeline.tables import detection_table, facts_table, plan_table, stage_tables
 from spinpipe.stages import STAGES
+from spinpipe.stages.ingest.vehicles import VEHICLES
 from spinpipe.stages.stage import StageError
 
 if TYPE_CHECKING:
@@ -116,6 +117,8 @@ def plan_command(
     console = Console()
     console.print(plan_table(steps))
     console.print(f"in {folder.path}/", highlight=False, soft_wrap=True)
+    for note in look_again(config, folder, Console(stderr=True)):
+        console.print(f"- {note}", highlight=False, markup=False, soft_wrap=True)
 
 
 def inspect_command(files: list[Path], role: Literal["", "scene", "model"], as_json: bool) -> None:
@@ -157,34 +160,47 @@ def demo_command(
     execute(load_config(path), folder, start, None, rerun, force=force)
 
 
-def init_command(path: Path, scene: str, model: str, force: bool) -> None:
+def init_command(
+    path: Path,
+    scene: str,
+    models: list[str],
+    shapes: list[str],
+    preset: str,
+    overrides: list[str],
+    force: bool,
+) -> None:
     """``spinpipe init``."""
     console = Console()
     require_new(path, force=force)
-    if bool(scene) != bool(model):
-        raise ConfigError("init: give both --scene and --model, or neither for a small example")
-    if not scene:
+    notes: list[str] = []
+    if preset:
+        if models or shapes:
+            raise ConfigError("init: a --preset says what to look for; leave --model and --shape")
+        text, notes = preset_config(preset, path, scene, overrides)
+    elif scene:
+        if not models and not shapes:
+            raise ConfigError(
+                "init: say what to look for: --model FILE, or --shape, one of "
+                + ", ".join(VEHICLES)
+            )
+        document, notes = filled_in(path, scene, models, shapes, overrides)
+        text = commented_config(path.name, document)
+    elif models or shapes:
+        raise ConfigError("init: give a --scene too, or nothing for a small example")
+    else:
         example = path.parent / "example"
         for name in EXAMPLE_FILES:
             require_new(example / name, force=force)
         write_example(example)
-        scene, model = "example/scene.ply", "example/model_1.ply"
         console.print(f"wrote {example}/: the artificial scene", highlight=False)
-    text = commented_config(path.name, scene, model, is_mesh=_has_faces(Path(model)))
+        model = {"name": "model_1", "path": "example/model_1.ply"}
+        document = {"ingest": {"scene": "example/scene.ply"}, "model": [model]}
+        config_of(document, path, overrides)
+        text = commented_config(path.name, document)
+    for note in notes:
+        console.print(note, highlight=False, markup=False, soft_wrap=True)
     write_new(path, lambda file: file.write_text(text, encoding="utf-8"), force=force)
     console.print(f"wrote {path}; now: spinpipe run {path}", highlight=False, soft_wrap=True)
-
-
-def _has_faces(model: Path) -> bool:
-    """Whether a file is a mesh, as far as its name and its head tell."""
-    if model.suffix.lower() != ".ply":
-        return model.suffix.lower() in (".obj", ".stl", ".glb", ".gltf", ".off", ".dae")
-    if not model.is_file():
-        return False
-    with model.open("rb") as file:
-        words = file.read(4096).split(b"end_header")[0].split()
-    faces = [words[i + 1] for i in range(len(words) - 1) if words[i] == b"face"]
-    return any(count not in (b"0", b"property") for count in faces)
 
 
 def stages_command() -> None:

@@ -6,6 +6,7 @@ import difflib
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -131,7 +132,18 @@ def load_config(path: Path, overrides: Iterable[str] = ()) -> RunConfig:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         hint = _backslash_hint(path, error)
         raise ConfigError(f"{path}: not valid TOML: {error}{hint}") from None
-    _require_sections(raw, path)
+    return config_of(raw, path, overrides)
+
+
+def config_of(raw: dict[str, Any], path: Path, overrides: Iterable[str] = ()) -> RunConfig:
+    """The config that a document is, as if it stood in a file; overrides are put into it.
+
+    Raises
+    ------
+    ConfigError
+        As ``load_config``.
+    """
+    _require_sections(deepcopy(raw), path)
     for override in overrides:
         _override(raw, override)
     return _validate(raw, path)

@@ -93,4 +93,5 @@ def test_the_command_runs_from_an_empty_environment(environment: Path, tmp_path:
 
     where = run("python", "-c", "import spinpipe.stages as s; print(s.__file__)").strip()
     assert Path(where).is_relative_to(environment)
+    assert "wrote config.toml" in run("spinpipe", "init", "--preset", "carpark")
     assert "accepted: 4 model_1" in run("spinpipe", "demo", "--rerun", "off")

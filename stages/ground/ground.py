@@ -34,6 +34,8 @@ from spinpipe.stages.stage import Context, Section, StageError
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
+SMALL = 0.02
+"""A ground that holds a smaller share of the surface is perhaps none."""
 SAMPLING_POINTS = 2_000_000
 """Points that density and noise are measured from."""
 
@@ -87,6 +89,11 @@ class Ground:
         if plane.evidence:
             ctx.log("for it " + ", ".join(f"{e.name} {e.value:+.2f}" for e in plane.evidence))
         ctx.log(f"ground rms {plane.rms_m:.3f} m, {share:.0%} of the surface{levels_text(plane)}")
+        if share < SMALL:
+            ctx.log(
+                "odd: next to nothing of the scene is ground: perhaps up is another; look at the "
+                "recording, state [ground] up"
+            )
         ctx.log(
             f"points {sampling.spacing_m:.3f} m apart, noise {sampling.noise_m:.3f} m"
             f"{errors_text(sampling)}"

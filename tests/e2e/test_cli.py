@@ -148,6 +148,60 @@ def test_init_overwrites_nothing(cli: Cli, tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"config.toml"}
 
 
+def test_init_looks_at_scene_and_models_and_fills_in(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    """A scene in feet by its own words, a model whose up could be another, a shape that ships."""
+    vertices = [(x, y, z) for x in (0, 4) for y in (0, 1.5) for z in (0, 1.5)]
+    faces = [(1, 2, 4), (1, 4, 3), (5, 6, 8), (5, 8, 7), (1, 2, 6), (1, 6, 5), (3, 4, 8), (3, 8, 7)]
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices] + [f"f {a} {b} {c}" for a, b, c in faces]
+    (tmp_path / "beam.obj").write_text("\n".join(lines))
+    yard.write(tmp_path, yard.xyz / 0.3048)
+    data = (tmp_path / "scene.ply").read_bytes()
+    (tmp_path / "feet.ply").write_bytes(
+        data.replace(b"\nelement", b"\ncomment unit: ft\nelement", 1)
+    )
+    what = ("--model", "beam.obj", "--shape", "saloon")
+    outcome = cli("init", "lot/a.toml", "--scene", "feet.ply", *what, cwd=tmp_path)
+    assert outcome.code == 0, outcome.err
+    assert "model beam: 4 x 1.5 x 1.5 m" in outcome.out
+    document = tomllib.loads((tmp_path / "lot" / "a.toml").read_text())
+    assert (document["ingest"]["scene"], document["ingest"]["scale"]) == ("../feet.ply", 0.3048)
+    beam, saloon = document["model"]
+    assert beam == {"name": "beam", "path": "../beam.obj", "up": "z", "stretch": 0.1,
+                    "visible_from": "above"}  # fmt: skip
+    assert saloon["shape"] == "saloon"
+    planned = cli("plan", "lot/a.toml", cwd=tmp_path)
+    assert planned.code == 0, planned.err
+    assert "- model beam: 4 x 1.5 x 1.5 m" in planned.out
+
+
+def test_init_and_plan_refuse_what_run_would(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    config = yard.write(tmp_path, yard.xyz * 1000)
+    for command in (
+        ("init", "new.toml", "--scene", "scene.ply", "--shape", "saloon"),
+        ("plan", config),
+    ):
+        outcome = cli(*command, cwd=tmp_path)
+        assert outcome.code == 1
+        assert "try [ingest] scale = 0.001 for millimetres" in outcome.err
+    assert not (tmp_path / "new.toml").exists()
+    stated = ("--set", "ingest.scale=0.001")
+    outcome = cli(
+        "init", "new.toml", "--scene", "scene.ply", "--shape", "saloon", *stated, cwd=tmp_path
+    )
+    assert outcome.code == 0, outcome.err
+    assert tomllib.loads((tmp_path / "new.toml").read_text())["ingest"]["scale"] == 0.001
+
+
+def test_init_writes_a_preset(cli: Cli, yard: Yard, tmp_path: Path) -> None:
+    yard.write(tmp_path)
+    outcome = cli("init", "a.toml", "--preset", "carpark", "--scene", "scene.ply", cwd=tmp_path)
+    assert outcome.code == 0, outcome.err
+    document = tomllib.loads((tmp_path / "a.toml").read_text())
+    assert document["ingest"]["scene"] == "scene.ply"
+    assert len(document["model"]) == 6
+    assert_one_line(cli("init", "b.toml", "--preset", "x", cwd=tmp_path), 2, "there are carpark")
+
+
 def test_plan_says_what_would_run_and_does_nothing(cli: Cli, yard_run: YardRun) -> None:
     before = sorted(yard_run.output.iterdir())
     outcome = cli("plan", yard_run.config, "-o", yard_run.output, "--set", "verify.icp.samples=300")

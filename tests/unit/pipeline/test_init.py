@@ -5,13 +5,20 @@ from __future__ import annotations
 import re
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from spinpipe.pipeline.config import SECTIONS, brackets, load_config, own_keys
 from spinpipe.pipeline.init import commented_config
 
-TEXT = commented_config("config.toml", "lot/scene.ply", "lot/saloon v2.obj", is_mesh=True)
+DOCUMENT: dict[str, Any] = {
+    "ingest": {"scene": "lot/scene.ply"},
+    "model": [
+        {"name": "saloon_v2", "path": "lot/saloon v2.obj", "visible_from": "above", "stretch": 0.1}
+    ],
+}
+TEXT = commented_config("config.toml", DOCUMENT)
 
 
 def test_it_is_a_config_with_the_scene_and_the_model(tmp_path: Path) -> None:
@@ -59,5 +66,6 @@ def test_lines_fit_a_hundred_columns() -> None:
 
 @pytest.mark.parametrize("model", ["C:\\models\\car.obj", 'say "car".obj', "a\\b.obj"])
 def test_odd_file_names_stay_what_they_are(tmp_path: Path, model: str) -> None:
-    document = tomllib.loads(commented_config("config.toml", "scene.ply", model, is_mesh=False))
+    text = commented_config("config.toml", {"model": [{"name": "car", "path": model}]})
+    document = tomllib.loads(text)
     assert document["model"][0]["path"] == model
