@@ -17,7 +17,7 @@ from spinpipe.pipeline.scenes.ground_grid import GroundGrid
 from spinpipe.schemas.arrays import F64, Mask
 from spinpipe.schemas.records import ObjectModel
 from spinpipe.stages.geometry.frames import inverse, transform, yaw_matrix
-from spinpipe.stages.geometry.seen_from_above import seen_from_above
+from spinpipe.stages.geometry.seen_from_above import FaceGrid, seen_from_above
 from spinpipe.stages.geometry.shapes import Mesh, sample_surface, surface_area, without_underside
 
 OVERSAMPLING = 4
@@ -152,7 +152,7 @@ def visible_surface(model: ObjectModel, density: float, rng: np.random.Generator
         areas = np.full(count, area / count)
         upward = np.abs(normals[:, 2])
         if from_above:
-            open_above = seen_from_above(points, *mesh)
+            open_above = seen_from_above(points, FaceGrid.of(mesh))
             points, areas, upward = points[open_above], areas[open_above], upward[open_above]
     else:
         points = model.points.astype(np.float64)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -17,42 +18,84 @@ from spinpipe.stages.geometry.shapes import Mesh, sample_surface
 
 _ELEVATIONS_DEG = (90.0, 60.0, 30.0, 0.0, -30.0)  # low cameras see what a table top covers
 _AZIMUTHS = 12
+_MOST_CELLS, _MOST_MEMBERS = 256, 50_000_000
+"""Cells of the grid along its longest side, and entries of all of them together."""
+_FACES_A_CELL = 2.0
+"""About so many faces for a cell on one side of a box: a surface crosses few of the cells."""
 
 
-def seen_from_around(points: F64, vertices: F64, faces: I64) -> Mask:
-    """Whether each point of a mesh shows from any direction but steeply below.
+class FaceGrid(NamedTuple):
+    """Faces by the cells of a grid that their bounding boxes touch: rays look only at those."""
+
+    corners: F64
+    """(F, 3, 3)."""
+    low: F64
+    """(3,) corner of the grid."""
+    step: float
+    cells: I64
+    """(3,) along each axis."""
+    starts: I64
+    """Of cell c the faces are ``members[starts[c]:starts[c + 1]]``."""
+    members: I64
+    tolerance: float
+    """A point on a face must not be hidden by that face: allow for rounding."""
+
+    @classmethod
+    def of(cls, mesh: Mesh) -> FaceGrid:
+        """Built once for all rays."""
+        corners = np.ascontiguousarray(mesh.vertices[mesh.faces])
+        low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+        reach = float((high - low).max()) or 1.0
+        along = min(_MOST_CELLS, max(1, math.isqrt(int(len(corners) / _FACES_A_CELL))))
+        tolerance = 1e-6 * reach
+        while True:
+            step = reach * (1 + 1e-9) / along
+            cells = np.floor((high - low) / step).astype(np.int64) + 1
+            counts = _count_members(corners, low, step, cells, tolerance)
+            if along == 1 or counts.sum() <= _MOST_MEMBERS:
+                break
+            along //= 2  # a few large faces among many small ones
+        starts = np.concatenate([[0], np.cumsum(counts)])
+        members = _fill_members(corners, low, step, cells, tolerance, starts)
+        return cls(corners, low, step, cells, starts, members, tolerance)
+
+    def open_towards(self, points: F64, towards: F64) -> Mask:
+        """Whether the rays from points (N, 3) along the last row of a rotation meet no face.
+
+        Faces cover whichever side they turn, their borders included. A face that the ray lies in
+        covers nothing.
+        """
+        return _open_towards(np.ascontiguousarray(points), towards, *self)
+
+
+def seen_from_above(points: F64, grid: FaceGrid) -> Mask:
+    """Whether nothing of a mesh lies straight above each of its points (N, 3), z up."""
+    return grid.open_towards(points, np.eye(3))
+
+
+def seen_from_around(points: F64, grid: FaceGrid) -> Mask:
+    """Whether each point (N, 3) of a mesh, z up, shows from any direction but steeply below.
 
     What never shows is inside: parts of a model drawn through each other have such faces.
-
-    Parameters
-    ----------
-    points : (N, 3) float64
-        Points on the mesh, z up.
-    vertices : (V, 3) float64, same unit and frame
-    faces : (F, 3) int
-
-    Returns
-    -------
-    (N,) bool
     """
     seen = np.zeros(len(points), np.bool_)
     for elevation in np.radians(_ELEVATIONS_DEG):
         azimuths = np.arange(_AZIMUTHS if np.cos(elevation) > 1e-9 else 1) * 2 * np.pi / _AZIMUTHS
         for azimuth in azimuths + 0.1:  # off the axes, along which models have upright faces
             rest = np.flatnonzero(~seen)
-            towards = _turned_upwards(elevation, azimuth)
-            seen[rest] = seen_from_above(points[rest] @ towards.T, vertices @ towards.T, faces)
+            seen[rest] = grid.open_towards(points[rest], _turned_upwards(elevation, azimuth))
     return seen
 
 
 def sample_seen(
-    mesh: Mesh, count: int, seen: Callable[[F64, F64, I64], Mask], rng: Generator
+    mesh: Mesh, count: int, seen: Callable[[F64, FaceGrid], Mask], rng: Generator
 ) -> tuple[F64, F64]:
     """Like ``sample_surface``, but only points that are ``seen``: points and normals (count, 3)."""
+    grid = FaceGrid.of(mesh)
     points, normals = np.empty((0, 3)), np.empty((0, 3))
     while len(points) < count:
         batch, batch_normals = sample_surface(*mesh, count, rng)
-        shows = seen(batch, *mesh)
+        shows = seen(batch, grid)
         points = np.concatenate([points, batch[shows]])
         normals = np.concatenate([normals, batch_normals[shows]])
     return points[:count], normals[:count]
@@ -71,73 +114,109 @@ def _turned_upwards(elevation: float, azimuth: float) -> F64:
     return np.stack([side, np.cross(direction, side), direction])
 
 
-def seen_from_above(points: F64, vertices: F64, faces: I64) -> Mask:
-    """Whether the vertical ray upwards from each point meets no other face of the mesh.
-
-    Faces cover what lies below them whichever side they turn down, their borders included. A face
-    that stands exactly upright covers nothing.
-
-    Parameters
-    ----------
-    points : (N, 3) float64
-        Points on the mesh, z up.
-    vertices : (V, 3) float64, same unit and frame
-    faces : (F, 3) int
-
-    Returns
-    -------
-    (N,) bool
-    """
-    corners = np.ascontiguousarray(vertices[faces])
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    base, top = low[:, :2].min(axis=0), high[:, :2].max(axis=0)
-    reach = float((top - base).max())
-    if reach <= 0:
-        return np.ones(len(points), np.bool_)
-    # About one cell a face on each row of a grid over the horizontal bounding box
-    cells = max(1, min(1024, math.isqrt(len(faces))))
-    step = reach * (1 + 1e-9) / cells
-    first = ((low[:, :2] - base) / step).astype(np.int64)
-    last = ((high[:, :2] - base) / step).astype(np.int64)
-    starts, members = _faces_by_cell(first, last, cells)
-    cell = np.clip(((points[:, :2] - base) / step).astype(np.int64), 0, cells - 1)
-    # A point on a face must not be hidden by that face: allow for rounding
-    size = float(np.ptp(vertices[faces.ravel()], axis=0).max())
-    return _open_above(
-        points, corners, cell[:, 0] * cells + cell[:, 1], starts, members, 1e-6 * size
-    )
-
-
-def _faces_by_cell(first: I64, last: I64, cells: int) -> tuple[I64, I64]:
-    """Faces whose bounding boxes touch cell c, as ``members[starts[c]:starts[c + 1]]``."""
-    counts = (last - first + 1).prod(axis=1)
-    face = np.repeat(np.arange(len(first)), counts)
-    index = np.arange(len(face)) - np.repeat(np.cumsum(counts) - counts, counts)
-    wide = (last - first + 1)[face, 1]
-    cell = (first[face, 0] + index // wide) * cells + first[face, 1] + index % wide
-    order = np.argsort(cell, kind="stable")
-    starts = np.searchsorted(cell[order], np.arange(cells * cells + 1))
-    return starts, face[order]
+@njit(cache=True, nogil=True)
+def _cells_of(face: F64, low: F64, step: float, cells: I64, margin: float) -> tuple[I64, I64]:
+    """First and last cell along each axis that a face may touch."""
+    first, last = np.empty(3, np.int64), np.empty(3, np.int64)
+    for axis in range(3):
+        least = min(face[0, axis], face[1, axis], face[2, axis]) - low[axis] - margin
+        most = max(face[0, axis], face[1, axis], face[2, axis]) - low[axis] + margin
+        first[axis] = max(0, int(least / step))
+        last[axis] = min(cells[axis] - 1, int(most / step))
+    return first, last
 
 
 @njit(cache=True, nogil=True)
-def _open_above(
-    points: F64, corners: F64, cell: I64, starts: I64, members: I64, tolerance: float
+def _count_members(corners: F64, low: F64, step: float, cells: I64, margin: float) -> I64:
+    counts = np.zeros(cells[0] * cells[1] * cells[2], np.int64)
+    for face in range(len(corners)):
+        first, last = _cells_of(corners[face], low, step, cells, margin)
+        for i in range(first[0], last[0] + 1):
+            for j in range(first[1], last[1] + 1):
+                for k in range(first[2], last[2] + 1):
+                    counts[(i * cells[1] + j) * cells[2] + k] += 1
+    return counts
+
+
+@njit(cache=True, nogil=True)
+def _fill_members(
+    corners: F64, low: F64, step: float, cells: I64, margin: float, starts: I64
+) -> I64:
+    members, free = np.empty(starts[-1], np.int64), starts[:-1].copy()
+    for face in range(len(corners)):
+        first, last = _cells_of(corners[face], low, step, cells, margin)
+        for i in range(first[0], last[0] + 1):
+            for j in range(first[1], last[1] + 1):
+                for k in range(first[2], last[2] + 1):
+                    cell = (i * cells[1] + j) * cells[2] + k
+                    members[free[cell]] = face
+                    free[cell] += 1
+    return members
+
+
+@njit(cache=True, nogil=True)
+def _open_towards(
+    points: F64,
+    towards: F64,
+    corners: F64,
+    low: F64,
+    step: float,
+    cells: I64,
+    starts: I64,
+    members: I64,
+    tolerance: float,
 ) -> Mask:
+    """Walk each ray from cell to cell [Amanatides & Woo 1987]."""
     free = np.ones(len(points), np.bool_)
-    for i in range(len(points)):
-        x, y, z = points[i]
-        for k in range(starts[cell[i]], starts[cell[i] + 1]):
-            a, b, c = corners[members[k]]
-            # Barycentric coordinates of (x, y) in the face seen from above
-            area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])
-            if abs(area) <= tolerance * tolerance:
-                continue
-            v = ((x - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (y - a[1])) / area
-            w = ((b[0] - a[0]) * (y - a[1]) - (x - a[0]) * (b[1] - a[1])) / area
-            if min(v, w, 1 - v - w) < -1e-9:
-                continue
-            if a[2] + v * (b[2] - a[2]) + w * (c[2] - a[2]) > z + tolerance:
-                free[i] = False
+    cell, side, until, each = np.empty(3, np.int64), np.zeros(3, np.int64), np.empty(3), np.empty(3)
+    for n in range(len(points)):
+        for axis in range(3):
+            along = towards[2, axis]
+            at = points[n, axis] - low[axis]
+            cell[axis] = min(max(int(at / step), 0), cells[axis] - 1)
+            side[axis] = 1 if along > 0 else -1
+            if abs(along) < 1e-12:
+                until[axis] = np.inf
+                each[axis] = np.inf
+            else:
+                border = (cell[axis] + (1 if along > 0 else 0)) * step
+                until[axis], each[axis] = (border - at) / along, step / abs(along)
+        while free[n]:
+            here = (cell[0] * cells[1] + cell[1]) * cells[2] + cell[2]
+            for k in range(starts[here], starts[here + 1]):
+                if _hit(points[n], towards, corners[members[k]], tolerance):
+                    free[n] = False
+                    break
+            axis = int(np.argmin(until))
+            cell[axis] += side[axis]
+            until[axis] += each[axis]
+            if cell[axis] < 0 or cell[axis] >= cells[axis]:
                 break
     return free
+
+
+@njit(cache=True, nogil=True)
+def _hit(point: F64, towards: F64, face: F64, tolerance: float) -> bool:
+    """Whether a face lies ahead of a point: its coordinates with the ray as the vertical."""
+    ax, ay, az = _turned(face[0], point, towards)
+    bx, by, bz = _turned(face[1], point, towards)
+    cx, cy, cz = _turned(face[2], point, towards)
+    # Barycentric coordinates of the ray in the face
+    area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+    if abs(area) <= tolerance * tolerance:
+        return False
+    v = ((cx - ax) * ay - ax * (cy - ay)) / area
+    w = (ax * (by - ay) - (bx - ax) * ay) / area
+    if min(v, w, 1 - v - w) < -1e-9:
+        return False
+    return az + v * (bz - az) + w * (cz - az) > tolerance
+
+
+@njit(cache=True, nogil=True)
+def _turned(corner: F64, point: F64, towards: F64) -> tuple[float, float, float]:
+    x, y, z = corner[0] - point[0], corner[1] - point[1], corner[2] - point[2]
+    return (
+        x * towards[0, 0] + y * towards[0, 1] + z * towards[0, 2],
+        x * towards[1, 0] + y * towards[1, 1] + z * towards[1, 2],
+        x * towards[2, 0] + y * towards[2, 1] + z * towards[2, 2],
+    )

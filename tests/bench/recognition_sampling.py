@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter, grey_closing
 
 from spinpipe.schemas.arrays import F64
 from spinpipe.stages.geometry.frames import yaw_matrix
-from spinpipe.stages.geometry.seen_from_above import seen_from_above
+from spinpipe.stages.geometry.seen_from_above import FaceGrid, seen_from_above
 from spinpipe.stages.geometry.shapes import (
     Mesh,
     merged,
@@ -153,7 +153,7 @@ def _facing(xyz: F64, normal: F64, mesh: Mesh, view: View) -> F64:
         R = level @ yaw_matrix(-azimuth)[:3, :3]
         cosine = normal @ R[2]
         rows = np.flatnonzero(cosine > np.maximum(best, 0.05))
-        seen = seen_from_above(xyz[rows] @ R.T, mesh.vertices @ R.T, mesh.faces)
+        seen = seen_from_above(xyz[rows] @ R.T, FaceGrid.of(Mesh(mesh.vertices @ R.T, mesh.faces)))
         best[rows[seen]] = cosine[rows[seen]]
     return best
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,12 @@ import pytest
 
 from spinpipe.pipeline.context import RunReader
 from spinpipe.pipeline.run_folder import RunFolder
-from spinpipe.schemas import MODELS, SCENE, TILES, UPRIGHT
+from spinpipe.schemas import DETECTIONS, MODELS, SCENE, TILES, UPRIGHT
 
 BASE_SIZE_M = (36.07, 33.26, 5.08)
 """Of the scene that most cases are made from."""
+CARS = np.array([(-8, -6), (-3, 5), (6, -7), (8, 6), (0, -12)])
+"""Where they stand in it [README.md there]."""
 
 
 def run(cli: Any, case: Path, output: Path) -> Any:
@@ -51,6 +54,43 @@ def test_the_same_scene_in_another_guise(
     assert upright.T_world_local[2, 2] > np.cos(np.radians(0.5))
     (model,) = read(MODELS)
     np.testing.assert_allclose(model.size, (4.53, 1.8, 1.44), atol=0.05)
+
+
+@pytest.mark.parametrize("case", ["base", "noise-below-ground"])
+def test_the_five_cars(cli: Any, shared_cases: Path, tmp_path: Path, case: str) -> None:
+    outcome = cli("run", shared_cases / case / "config.toml", "--rerun", "off", "-o", tmp_path)
+    assert outcome.code == 0, outcome.err
+    found = [d for d in RunReader(RunFolder(tmp_path))(DETECTIONS) if d.fate == "accepted"]
+    places = np.array([d.position_scene[:2] for d in found])
+    assert len(places) == len(CARS)
+    for car in CARS:
+        assert np.linalg.norm(places - car, axis=1).min() < 0.3
+
+
+@pytest.mark.parametrize(
+    ("case", "up"),
+    [
+        ("real-las-up-sideways", (0, 0, 1)),
+        ("real-las-upside-down", (0, 0, 1)),
+        ("indoor-room-y-up", (0, 1, 0)),
+    ],
+)
+def test_what_used_to_lie_stands(
+    cli: Any, shared_cases: Path, tmp_path: Path, case: str, up: tuple[float, float, float]
+) -> None:
+    (path,) = (p for p in (shared_cases / case).iterdir() if p.name.startswith(("s", "append")))
+    outcome = cli("inspect", "--json", path)
+    assert outcome.code == 0, outcome.err
+    (facts,) = json.loads(outcome.out)["files"]
+    assert facts["up"]["direction"] @ np.array(up) > np.cos(np.radians(1))
+
+
+@pytest.mark.parametrize("case", ["bad_faces.obj", "hang_colmapbin", "min_abort.laz"])
+def test_hostile_files_are_refused_in_a_line(cli: Any, shared_cases: Path, case: str) -> None:
+    outcome = cli("inspect", shared_cases / "hostile" / case)
+    assert outcome.code == 1
+    assert case in outcome.err
+    assert outcome.err.count("\n") == 1
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,8 @@ from plyfile import PlyData, PlyElement
 from pydantic import ValidationError
 
 from spinpipe.schemas.records import ObjectModel
-from spinpipe.stages.geometry.seen_from_above import seen_from_above
-from spinpipe.stages.geometry.shapes import sample_surface
+from spinpipe.stages.geometry.seen_from_above import FaceGrid, seen_from_above
+from spinpipe.stages.geometry.shapes import Mesh, sample_surface
 from spinpipe.stages.ingest.object_model import ModelConfig, object_model, read_model
 from spinpipe.stages.stage import StageError
 
@@ -133,7 +133,9 @@ def test_seen_from_above_agrees_with_a_ray_for_each_point() -> None:
         above = a[2] + v * (b - a)[2] + w * (c - a)[2] > points[:, 2] + 1e-5
         hidden |= (v >= 0) & (w >= 0) & (v + w <= 1) & above
     assert 0.1 < hidden.mean() < 0.9
-    np.testing.assert_array_equal(seen_from_above(points, vertices, faces), ~hidden)
+    np.testing.assert_array_equal(
+        seen_from_above(points, FaceGrid.of(Mesh(vertices, faces))), ~hidden
+    )
 
 
 def test_normals_seen_from_above_point_up_whatever_the_winding(tmp_path: Path) -> None:
@@ -148,7 +150,7 @@ def test_an_upright_wall_hides_nothing() -> None:
     vertices = np.array([(0, 0, 0), (2, 0, 0), (2, 0, 1), (0, 0, 1)], float)
     faces = np.array([(0, 1, 2), (0, 2, 3)])
     points, _ = sample_surface(vertices, faces, 100, np.random.default_rng(0))
-    assert seen_from_above(points, vertices, faces).all()
+    assert seen_from_above(points, FaceGrid.of(Mesh(vertices, faces))).all()
 
 
 def write_cloud(path: Path, xyz: Any) -> Path:
