@@ -30,8 +30,9 @@ def detection_table(detections: Sequence[Detection]) -> Group:
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("id", justify="right")
     table.add_column("model")
-    for name in ("x", "y", "z", "heading", "rms", "score"):
-        table.add_column(name, justify="right", no_wrap=True)
+    frames = {"x": "scene", "y": "scene", "z": "scene", "heading": "world", "rms": "m"}
+    for name in (*frames, "score"):
+        table.add_column(f"{name}\n{frames.get(name, '')}", justify="right", no_wrap=True)
     table.add_column("fate")
     for d in shown[:MAX_ROWS]:
         position = (f"{v:z.2f}" for v in d.position_scene)
