@@ -41,6 +41,7 @@ class Model:
         """Write every model that the scene can show."""
         tiles, scene = ctx.read_one(TILES), ctx.read_one(SCENE)
         scene_m = float((tiles.high.max(axis=0) - tiles.low.min(axis=0)).max())
+        progress = ctx.progress("models", len(ctx.config.models))
         for config in ctx.config.models:
             file = read_model(config)
             model = object_model(config, file, ctx.rng)
@@ -50,3 +51,4 @@ class Model:
                 if note:
                     ctx.log(f"odd: {note}")
             ctx.write(MODELS, model)
+            progress.advance()

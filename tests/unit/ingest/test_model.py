@@ -41,6 +41,7 @@ def read_models(side_m: float, *models: dict[str, Any]) -> list[ObjectModel]:
         }.__getitem__,
         write=lambda _, model: written.append(model),
         log=lambda _: None,
+        progress=lambda *_: SimpleNamespace(advance=lambda: None),
     )
     Model().run(context)
     return written
