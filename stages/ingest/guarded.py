@@ -18,9 +18,11 @@ from spinpipe.stages.stage import StageError
 
 T = TypeVar("T")
 
+MOST_POINTS = 1 << 18
+"""To be read at once: with 300 bytes a point they take a fourth of the memory below."""
 STEP_S = 10.0
 """Processor time for one result: a million points take half a second."""
-MEMORY_TIMES, MEMORY_BYTES = 4, 1 << 30
+MEMORY_TIMES, MEMORY_BYTES = 4, 300_000_000
 """What a reader may ask for beside what it has: so many times the file's size, and a constant."""
 
 
@@ -65,8 +67,8 @@ def _serve(
     try:
         signal.signal(signal.SIGPROF, signal.SIG_DFL)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # what it says as it dies is not for users
-        most = _address_space() + MEMORY_TIMES * path.stat().st_size + MEMORY_BYTES
-        resource.setrlimit(resource.RLIMIT_AS, (most, resource.RLIM_INFINITY))
+        most = _memory() + MEMORY_TIMES * path.stat().st_size + MEMORY_BYTES
+        resource.setrlimit(resource.RLIMIT_DATA, (most, resource.RLIM_INFINITY))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         with os.fdopen(writer, "wb") as stream:
             try:
@@ -90,8 +92,9 @@ def _send(stream: BinaryIO, kind: str, value: object) -> None:
     stream.flush()
 
 
-def _address_space() -> int:
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
+def _memory() -> int:
+    """What can be written to, which the limit counts; not what is only mapped or reserved."""
+    pages = int(Path("/proc/self/statm").read_text().split()[5])
     return pages * resource.getpagesize()
 
 

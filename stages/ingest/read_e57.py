@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from spinpipe.schemas.arrays import F64
 from spinpipe.stages.ingest.colour_range import full_colour, to_8_bit
 from spinpipe.stages.ingest.coordinates import Coordinates, beside, from_crs, parse_crs
-from spinpipe.stages.ingest.guarded import guarded
+from spinpipe.stages.ingest.guarded import MOST_POINTS, guarded
 from spinpipe.stages.ingest.scene_source import About, Chunk, white
 from spinpipe.stages.stage import StageError
 
@@ -75,7 +75,7 @@ class E57Source:
                 yield xyz, to_8_bit(rgb, self._full)
 
     def _pieces(self, points: int) -> Iterator[tuple[F64, F64 | None]]:
-        yield from guarded(_points, self._path, points)
+        yield from guarded(_points, self._path, min(points, MOST_POINTS))
 
 
 @dataclass(frozen=True)

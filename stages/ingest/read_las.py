@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from spinpipe.schemas.arrays import F64
 from spinpipe.stages.ingest.colour_range import full_colour, to_8_bit
 from spinpipe.stages.ingest.coordinates import Coordinates, beside, from_crs
-from spinpipe.stages.ingest.guarded import guarded
+from spinpipe.stages.ingest.guarded import MOST_POINTS, guarded
 from spinpipe.stages.ingest.scene_source import About, Chunk, white
 from spinpipe.stages.stage import StageError
 
@@ -80,6 +80,7 @@ class LasSource:
 
     def _records(self, points: int) -> Iterator[tuple[F64, NDArray[Any] | None]]:
         found = 0
+        points = min(points, MOST_POINTS)
         for xyz, rgb in guarded(_points, self._path, points, self.points, self.coloured):
             found += len(xyz)
             yield xyz, rgb
