@@ -2,25 +2,69 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import shutil
 import tempfile
+import time
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 unfinished: set[Path] = set()
 """Files being written, worth nothing half, and folders of work: a signal removes them."""
 
+PARTIAL, SCRATCH = ".partial", ".scratch-"
+_ABANDONED_S = 60.0
+"""A folder of work that nobody has held for so long is left over: it is held milliseconds after it
+was made."""
+
 
 @contextmanager
-def scratch_folder() -> Generator[Path]:
-    """A folder for work that leaves nothing behind, however it ends."""
-    with tempfile.TemporaryDirectory(prefix="spinpipe-") as name:
+def scratch_folder(parent: Path | None = None) -> Generator[Path]:
+    """A folder for work, below the system's for such, or ``parent``; it is gone in the end.
+
+    Those that killed processes left beside it go too.
+    """
+    place = parent or Path(tempfile.gettempdir())
+    prefix = f"{SCRATCH}spinpipe-"
+    for left in place.glob(f"{prefix}*"):
+        if _abandoned(left):
+            remove(left)
+    with tempfile.TemporaryDirectory(prefix=prefix, dir=place) as name:
         unfinished.add(Path(name))
+        held = os.open(name, os.O_RDONLY)
         try:
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(held, fcntl.LOCK_EX)
             yield Path(name)
         finally:
+            os.close(held)
             unfinished.discard(Path(name))
+
+
+def remove(path: Path) -> None:
+    """Remove a file, or a folder with all below it."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _abandoned(folder: Path) -> bool:
+    """Whether no process holds a folder of work any more."""
+    try:
+        held = os.open(folder, os.O_RDONLY | os.O_NOFOLLOW)
+    except OSError:
+        return False
+    try:
+        about = os.fstat(held)
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return about.st_uid == os.getuid() and time.time() - about.st_mtime > _ABANDONED_S
+    except OSError:
+        return False
+    finally:
+        os.close(held)
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
@@ -36,7 +80,7 @@ def partial_file(path: Path) -> Generator[Path]:
 
     An error of the disk names ``path``.
     """
-    partial = path.with_name(path.name + ".partial")
+    partial = path.with_name(path.name + PARTIAL)
     unfinished.add(partial)
     try:
         with naming(path):

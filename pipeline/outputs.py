@@ -16,7 +16,7 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 
-from spinpipe.pipeline.atomic import write_atomically
+from spinpipe.pipeline.atomic import PARTIAL, SCRATCH, remove, write_atomically
 from spinpipe.stages.stage import StageError
 
 MARK, LOCK = ".spinpipe", ".lock"
@@ -37,7 +37,12 @@ class Outputs:
     def __init__(self, folder: Path, *, force: bool = False) -> None:
         self._mark = folder / MARK
         self._listed = _read(self._mark)
-        self._trusting = force or (self._listed is None and self._mark.exists())
+        self._trusting = force or (self._listed is None and self.marked)
+
+    @property
+    def marked(self) -> bool:
+        """Whether the folder is one that we write into."""
+        return self._mark.exists()
 
     def claim(self, *paths: Path) -> None:
         """Say what is about to be written, before anything is computed.
@@ -101,6 +106,18 @@ class Outputs:
             if path.name in (self._listed or {}):
                 path.unlink(missing_ok=True)
 
+    def leftovers(self) -> list[Path]:
+        """What killed processes left: half a file of ours, folders of work.
+
+        Half the file of a stage is none: the next run goes on from it.
+        """
+        if not self.marked:
+            return []
+        halves = [f"{name}{PARTIAL}" for name in (MARK, *(self._listed or {}))]
+        folder = self._mark.parent
+        files = [folder / name for name in halves if not name.endswith(f".mcap{PARTIAL}")]
+        return sorted((*(f for f in files if f.is_file()), *folder.glob(f"{SCRATCH}*")))
+
     def _entry(self, path: Path) -> _Entry:
         return (self._listed or {}).get(path.name, {"key": "", "sha256": ""})
 
@@ -135,7 +152,7 @@ def digest(path: Path) -> str:
 
 @contextmanager
 def locked(folder: Path, *, force: bool = False) -> Generator[Outputs]:
-    """Hold a folder for this process and give its files.
+    """Hold a folder for this process and give its files; what a killed one left half goes.
 
     Raises
     ------
@@ -153,7 +170,10 @@ def locked(folder: Path, *, force: bool = False) -> Generator[Outputs]:
                 "wait for it or choose another with --output"
             ) from None
         try:
-            yield Outputs(folder, force=force)
+            outputs = Outputs(folder, force=force)
+            for path in outputs.leftovers():
+                remove(path)
+            yield outputs
         except BaseException:
             _remove_if_nothing_came_of_it(folder, made)
             raise

@@ -100,7 +100,7 @@ def _index(stage: str | None, option: str, default: int) -> int:
 def _decide(folder: RunFolder, stage: str, key: str, parts: Mapping[str, str]) -> tuple[str, str]:
     path = folder.mcap(stage)
     if not path.exists():
-        if folder.partial(stage).exists() or folder.interrupted(stage).exists():
+        if folder.begun(stage):
             return "run", "was interrupted"
         return "run", "no output yet"
     try:

@@ -28,6 +28,10 @@ class RunFolder:
         """What an interrupted run left behind, while the next one takes it over."""
         return self.mcap(stage).with_suffix(".mcap.interrupted")
 
+    def begun(self, stage: str) -> list[Path]:
+        """Those of the two that are there."""
+        return [path for path in (self.partial(stage), self.interrupted(stage)) if path.exists()]
+
     @property
     def lock(self) -> Path:
         """Held by the process that works in this folder."""

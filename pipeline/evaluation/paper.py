@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
-from spinpipe.pipeline.atomic import write_atomically
+from spinpipe.pipeline.atomic import scratch_folder, write_atomically
 from spinpipe.pipeline.config import ConfigError
 from spinpipe.pipeline.evaluation.chart import Chart, Curve, draw_chart
 from spinpipe.pipeline.evaluation.evaluate import evaluate_run
@@ -62,13 +61,13 @@ def paper_command(
     console = Console()
     with locked(output, force=force) as outputs:
         outputs.claim(*(output / name for name in FILES))
-    sections: list[Section] = []
-    with tempfile.TemporaryDirectory(prefix=".scratch-", dir=output) as scratch:
-        for section in _sections(Path(scratch), output, scene, model, truth):
-            console.print(section_table(section), highlight=False)
-            sections.append(section)
-    text = markdown("The paper's experiments, repeated", INTRO, sections)
-    write_atomically(output / "paper.md", lambda file: file.write_text(text, encoding="utf-8"))
+        sections: list[Section] = []
+        with scratch_folder(output) as scratch:
+            for section in _sections(scratch, output, scene, model, truth):
+                console.print(section_table(section), highlight=False)
+                sections.append(section)
+        text = markdown("The paper's experiments, repeated", INTRO, sections)
+        write_atomically(output / "paper.md", lambda file: file.write_text(text, encoding="utf-8"))
     console.print(f"\nwrote {output / 'paper.md'} and its figures", highlight=False)
 
 

@@ -57,18 +57,18 @@ def plant_command(
     target = folder.path / "plant"
     with locked(target, force=force) as outputs:
         outputs.claim(*(target / name for name in FILES))
-    config = write_planted(folder, config, planted, target)
-    console.print("looking for them ...", highlight=False)
-    execute(config, RunFolder(target / "run"), None, None, rerun, quiet=True)
-    radius_m = match_radius_m(list(RunReader(folder)(MODELS)))
-    evaluation = evaluate_run(
-        RunFolder(target / "run"), target / "truth.csv", radius_m=radius_m, rule="any"
-    )
-    document = json.dumps(plant_document(evaluation, planted), indent=1, allow_nan=False) + "\n"
-    write_atomically(target / "plant.json", lambda file: file.write_text(document, "utf-8"))
-    console.print(plant_table(evaluation, planted), highlight=False)
-    if picture:
-        write_picture(evaluation, RunReader(RunFolder(target / "run")), target / "plant.png")
+        config = write_planted(folder, config, planted, target)
+        console.print("looking for them ...", highlight=False)
+        execute(config, RunFolder(target / "run"), None, None, rerun, quiet=True)
+        radius_m = match_radius_m(list(RunReader(folder)(MODELS)))
+        evaluation = evaluate_run(
+            RunFolder(target / "run"), target / "truth.csv", radius_m=radius_m, rule="any"
+        )
+        document = json.dumps(plant_document(evaluation, planted), indent=1, allow_nan=False) + "\n"
+        write_atomically(target / "plant.json", lambda file: file.write_text(document, "utf-8"))
+        console.print(plant_table(evaluation, planted), highlight=False)
+        if picture:
+            write_picture(evaluation, RunReader(RunFolder(target / "run")), target / "plant.png")
     console.print(f"results in {target}/", highlight=False, soft_wrap=True)
 
 

@@ -298,6 +298,33 @@ def test_status_tells_what_is_there(yard_run: YardRun, cli: Cli) -> None:
     assert "spinpipe run" in outcome.out
 
 
+def test_what_a_killed_process_left_is_named_and_removed(yard_run: YardRun, cli: Cli) -> None:
+    output = yard_run.output
+    begun = output / "05_cluster.mcap.partial"
+    left = {".scratch-x", "report.json.partial", ".spinpipe.partial", "run.rrd.partial"}
+    (output / ".scratch-x").mkdir()
+    (output / ".scratch-x" / "work").write_text("half")
+    for name in (*left - {".scratch-x"}, begun.name, "mine.partial"):
+        (output / name).write_text("half")
+    out = cli("status", output).out
+    assert all(name in out for name in (*left, begun.name))
+    assert "mine.partial" not in out
+    assert cli("run", yard_run.config, "--rerun", "off", "-o", output).code == 0
+    assert not left & {path.name for path in output.iterdir()}
+    assert (output / "mine.partial").exists()
+    assert begun.exists()
+
+
+def test_status_of_a_run_that_was_killed_in_its_first_stage(yard_run: YardRun, cli: Cli) -> None:
+    for path in yard_run.output.iterdir():
+        if path.name != ".spinpipe":
+            path.unlink()
+    (yard_run.output / "01_ingest.mcap.partial").write_text("half")
+    outcome = cli("status", yard_run.output)
+    assert outcome.code == 0, outcome.err
+    assert "goes on from it: 01_ingest.mcap.partial" in outcome.out
+
+
 def test_positions_and_transforms_of_a_run_agree(finished_yard: YardRun, yard: Yard) -> None:
     accepted = [d for d in finished_yard.detections() if d["fate"] == "accepted"]
     assert len(accepted) == len(yard.cars)
