@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Protocol, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationInfo
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo
 
 from spinpipe.schemas.topics import Topic
 
@@ -48,6 +48,10 @@ def _resolve(path: Path, info: ValidationInfo) -> Path:
 InputPath = Annotated[Path, AfterValidator(_resolve)]
 """A file or folder that a stage reads: relative to the config file. The key of a stage holds its
 content, not its name."""
+
+
+Scale = Annotated[float, Field(ge=1e-9, le=1e9)]
+"""Metres a unit: from nanometres to more than the Earth is wide."""
 
 
 class Progress(Protocol):

@@ -55,7 +55,10 @@ class Ground:
             "auto", description="'auto', or the up direction [x, y, z] in scene coordinates"
         )
         min_margin: float = Field(
-            2.5, gt=1, description="how much better the evidence for up must be than for its rival"
+            2.5,
+            gt=1,
+            le=1e6,
+            description="how much better the evidence for up must be than for its rival",
         )
         sample_points: int = Field(
             150_000, ge=1000, le=2_000_000, description="most points in the sample of the surface"
@@ -211,6 +214,7 @@ def _along(scene: _Scene, up: F64, source: str) -> Plane:
     Formats that define their z as height (LAS with its coordinate system) are not asked twice: in
     small or sparse clouds the points are the weaker witness.
     """
+    up = up / np.abs(up).max()  # the squares of very small or large numbers are 0 or infinite
     up = up / np.linalg.norm(up)
     hypotheses = rank(scene.surface, scene.surfaces, [Vertical(up, np.inf)], None)
     terrain = next((h.terrain for h in hypotheses if h.up @ up > 0), None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from pydantic import Field, PositiveFloat, model_validator
+from pydantic import Field, model_validator
 
 from spinpipe.schemas import CALIBRATIONS, CAMERAS, CLOUD, SCENE, TILES, TRAJECTORY
 from spinpipe.schemas.arrays import F32, F64
@@ -18,6 +18,7 @@ from spinpipe.stages.ingest.sanity import (
     believable,
     coarse_steps,
     refuse_degrees,
+    require_on_earth,
     scale_note,
     scale_of,
     scene_line,
@@ -26,7 +27,7 @@ from spinpipe.stages.ingest.scatter_file import ScatterFile
 from spinpipe.stages.ingest.scene_source import SceneSource
 from spinpipe.stages.ingest.survey import Survey, finite, left_out, survey, within
 from spinpipe.stages.ingest.tiling import POINT, kd_split, tiles_of
-from spinpipe.stages.stage import Context, InputPath, Section
+from spinpipe.stages.stage import Context, InputPath, Scale, Section
 
 _BYTES_A_POINT = 1000
 """Generous upper bound of the memory that one point of a chunk takes on its way."""
@@ -47,7 +48,7 @@ class Ingest:
         scene: InputPath = Field(
             description="cloud or mesh in any common format, or folder of a COLMAP model"
         )
-        scale: PositiveFloat | tuple[PositiveFloat, PositiveFloat, PositiveFloat] | None = Field(
+        scale: Scale | tuple[Scale, Scale, Scale] | None = Field(
             default=None,
             description="metres per unit of the scene, or [x, y, z] where z has another; "
             "none: as the file says, else 1",
@@ -89,6 +90,7 @@ class Ingest:
             )
             ctx.log(note)
         scale = scale_of(stated, said, config.scene)
+        require_on_earth(found, scale, config.scene)
         spacing_m = found.spacing(scale)
         ctx.log(scene_line(source, found, scale, spacing_m))
         if stated is None:

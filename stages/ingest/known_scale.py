@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import Field, PositiveFloat, model_validator
+from pydantic import Field, model_validator
 
 from spinpipe.schemas.arrays import F64
 from spinpipe.schemas.records import Cameras, Vector
@@ -36,8 +36,8 @@ class ScaleFrom(Section):
     cameras: tuple[str, str] | None = Field(
         default=None, description="or two cameras, by the names of their photos"
     )
-    distance_m: PositiveFloat | None = Field(
-        default=None, description="how far the two are apart, metres"
+    distance_m: float | None = Field(
+        default=None, ge=1e-6, le=1e7, description="how far the two are apart, metres"
     )
     gps: bool = Field(
         default=False, description="or the GPS in the photos of the cameras; needs ingest.photos"

@@ -24,6 +24,10 @@ Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 _CHUNK = 1 << 18
 _SAMPLES = 2000
+_FEWEST = 50
+"""Points that show a shape; the verification asks for as many."""
+_FARTHEST = 1e15
+"""Of a coordinate: nanometres to the Moon; the areas of faces must be finite."""
 _MIRROR_REACH = 0.03
 """How near to a mirrored point there must be another, as a share of the model's diagonal."""
 _BASE = 0.01
@@ -94,10 +98,15 @@ def open_model(path: Path, up: Axis | None, forward: Axis | None) -> ModelFile:
         corners, faces = np.concatenate([np.empty((0, 3)), *chunks]), None
         corners = corners[np.isfinite(corners).all(axis=1)]
         name, said = f"{source.about.kind} cloud", False
-        if len(corners) < 3:
-            raise StageError(f"{path}: has neither faces nor enough points; give a mesh or a cloud")
-    if not np.isfinite(corners).all():
-        raise StageError(f"{path}: holds coordinates that are not finite; repair the model")
+        if len(corners) < _FEWEST:
+            raise StageError(
+                f"{path}: has neither faces nor enough points ({len(corners)}, {_FEWEST} are the "
+                "least); give a mesh or a denser cloud"
+            )
+    if not (np.abs(corners) < _FARTHEST).all():
+        raise StageError(
+            f"{path}: holds coordinates that are not finite or over {_FARTHEST:g}; repair the model"
+        )
     if up is not None:
         return ModelFile(name, corners, faces, up, forward or _front(corners, up), "as stated")
     if said:  # [Khronos glTF 2.0, section 3.4]: +y is up, the front faces +z

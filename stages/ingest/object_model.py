@@ -15,7 +15,12 @@ from spinpipe.stages.geometry.seen_from_above import sample_seen, seen_from_abov
 from spinpipe.stages.geometry.shapes import Mesh, face_areas_and_normals
 from spinpipe.stages.ingest.model_file import Axis, ModelFile, open_model
 from spinpipe.stages.ingest.vehicles import VEHICLES, vehicle_mesh
-from spinpipe.stages.stage import InputPath, Section, StageError
+from spinpipe.stages.stage import InputPath, Scale, Section, StageError
+
+_SIZES_M = (1e-4, 1e6)
+"""Longest side of a model: sizes that photos resolve, and that float32 holds to a decimetre."""
+_LEAST_STRETCH = 0.001
+"""Millimetres of a car."""
 
 
 class ModelConfig(Section):
@@ -33,7 +38,7 @@ class ModelConfig(Section):
         default="all",
         description="which part of a mesh the photos show: all of it or what lies open above",
     )
-    scale: float = Field(default=1.0, gt=0, description="metres per unit of the file")
+    scale: Scale = Field(default=1.0, description="metres per unit of the file")
     up: Axis | None = Field(
         default=None,
         description="axis of the file that points up; none: y for glTF, else z or y, whichever "
@@ -57,6 +62,13 @@ class ModelConfig(Section):
         if not re.fullmatch(r"[A-Za-z0-9_.-]+", name):
             raise ValueError(f"'{name}' may hold only letters, digits, '_', '-' and '.'")
         return name
+
+    @field_validator("stretch")
+    @classmethod
+    def _none_or_some(cls, stretch: float) -> float:
+        if 0 < stretch < _LEAST_STRETCH:
+            raise ValueError(f"must be 0 or at least {_LEAST_STRETCH:g}: less cannot be seen")
+        return stretch
 
     @model_validator(mode="after")
     def _one_source(self) -> ModelConfig:
@@ -90,11 +102,14 @@ def object_model(config: ModelConfig, file: ModelFile, rng: np.random.Generator)
     Raises
     ------
     StageError
-        When its faces have no area.
+        When it is too small or too large to be looked for, or its faces have no area.
     """
     where = f"[[model]] '{config.name}': {config.path}"
     T_object_model = _object_from_model(file, config.scale)
     points = transform(T_object_model, file.corners)
+    longest_m = float(np.ptp(points, axis=0).max())
+    if not _SIZES_M[0] <= longest_m <= _SIZES_M[1]:
+        raise StageError(f"{where}: is {longest_m:.3g} m long; correct its scale, or the file")
     if file.faces is None:
         samples, normals = points, np.zeros(points.shape)
         upright = Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))

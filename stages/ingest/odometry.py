@@ -40,21 +40,30 @@ class Odometry(Section):
         description="kiss-icp: register each sweep to those before it; none: the sweeps lie in one "
         "frame already; auto: none where the messages name a fixed frame (map, odom, world, earth)",
     )
-    max_range_m: float = Field(default=100.0, gt=0, description="farther points are not used")
+    max_range_m: float = Field(
+        default=100.0, ge=0.1, le=1e5, description="farther points are not used"
+    )
     min_range_m: float = Field(
-        default=0.0, ge=0, description="nearer points are not used: the sensor's own vehicle"
+        default=0.0,
+        ge=0,
+        le=1e5,
+        description="nearer points are not used: the sensor's own vehicle",
     )
     deskew: bool = Field(
         default=True, description="undo the motion during a sweep where its points have times"
     )
     voxel_m: float | None = Field(
         default=None,
-        gt=0,
+        ge=0.001,
+        le=1000,
         description="cell of the map that sweeps are registered to; none: a hundredth of how far "
         "the first sweep sees",
     )
     map_voxel_m: float = Field(
-        default=0.05, gt=0, description="of all points in such a cell of the scene one is kept"
+        default=0.05,
+        ge=0.0001,
+        le=1000,
+        description="of all points in such a cell of the scene one is kept",
     )
 
 

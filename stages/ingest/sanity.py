@@ -36,6 +36,8 @@ _SHEET_HEIGHT = 0.05
 """Lowest part of a model, in its height, in which a sheet of ground would lie."""
 _SHEET_WIDER = 1.6
 """A sheet reaches this much farther than what stands on it."""
+_SCALES, _WIDEST_M = (1e-9, 1e9), 1e8
+"""As the config allows, and several times as wide as the Earth."""
 _LON_LAT = (180.0, 90.0)
 _DEGREES_ACROSS = 1.0
 _DEGREES_RATIO = 1000.0
@@ -75,6 +77,21 @@ def scale_of(stated: float | Vector | None, coordinates: Coordinates, where: Pat
     if stated is not None:
         return (stated, stated, stated)
     return coordinates.metres or (1.0, 1.0, 1.0)
+
+
+def require_on_earth(found: Survey, scale: Vector, where: Path) -> None:
+    """Stop where the units or the scene cannot be real: its metres would not fit float32.
+
+    Raises
+    ------
+    StageError
+    """
+    width_m = float(((found.high - found.low) * scale).max())
+    if not all(_SCALES[0] <= metres <= _SCALES[1] for metres in scale) or width_m > _WIDEST_M:
+        raise StageError(
+            f"{where}: is {width_m:.3g} m wide with a scale of {_numbers(scale)} m a unit: correct "
+            "[ingest] scale, or what [ingest.scale_from] tells; or export the file again"
+        )
 
 
 def scale_note(stated: float | Vector | None, coordinates: Coordinates) -> str:
@@ -149,7 +166,7 @@ def require_possible(scene: SceneFrame, scene_m: float, model: ObjectModel) -> N
         raise StageError(
             f"model '{model.name}' is {longest:.3g} m long, the whole scene {scene_m:.3g} m; "
             f"correct [ingest] scale (now {_numbers(scene.scale)}) or the scale of that [[model]]"
-            + _unit_hint(longest / scene_m, "the model may be in", "[[model]] scale")
+            + _unit_hint(longest, scene_m, "the model may be in", "[[model]] scale")
         )
     if scene.spacing_m > _MOST_SPACING * longest:
         raise StageError(
@@ -179,7 +196,7 @@ def odd_shape(model: ObjectModel) -> str:
         return ""
     return (
         f"model '{model.name}' is {longest:.3g} m long, {model.size[2]:.3g} m high: no car is"
-        + _unit_hint(longest / 4.5, "it may be in", "[[model]] scale")
+        + _unit_hint(longest, 4.5, "it may be in", "[[model]] scale")
     )
 
 
@@ -235,8 +252,11 @@ def _degrees(where: Path, why: str) -> StageError:
     )
 
 
-def _unit_hint(too_long: float, words: str, key: str) -> str:
+def _unit_hint(length: float, right: float, words: str, key: str) -> str:
     """The unit that explains a length best, if one is within a factor of about two."""
+    if not right > 0:
+        return ""
+    too_long = length / right
     name, metres = min(UNITS.items(), key=lambda unit: abs(np.log(unit[1] * too_long)))
     if abs(np.log(metres * too_long)) > np.log(2.2):
         return ""

@@ -33,7 +33,7 @@ from spinpipe.stages.scan.image import SpinGrid, spin_image
 from spinpipe.stages.scan.model_heights import HeightBands
 from spinpipe.stages.scan.templates import Templates, extent_weights, object_image
 from spinpipe.stages.scan.tile import Origins, TileScan
-from spinpipe.stages.stage import Context, Section
+from spinpipe.stages.stage import Context, Section, StageError
 
 RADIUS_HALF_WIDTHS = 1.45
 HEIGHT_SHARE = 0.7
@@ -55,19 +55,19 @@ class Scan:
 
         radius_m: float | None = Field(
             None,
-            gt=0,
+            ge=0.001,
             le=1000,
             description="horizontal reach; none: 1.45 times half the narrow side of the "
             "smallest model, so that what stands beside an instance stays outside",
         )
         height_m: float | None = Field(
             None,
-            gt=0,
+            ge=0.001,
             le=1000,
             description="reach below the top; none: 0.7 of the lowest model's height",
         )
         bin_m: float | None = Field(
-            None, gt=0, le=100, description="side of a bin; none: 1/8 of the radius"
+            None, ge=0.0001, le=100, description="side of a bin; none: 1/8 of the radius"
         )
         lift_m: float | None = Field(
             None,
@@ -108,7 +108,7 @@ class Scan:
             "ones; all: every point; subset: only one in each voxel",
         )
         voxel_m: float | None = Field(
-            None, gt=0, le=1000, description="side of such a voxel; none: 1/8 of the radius"
+            None, ge=0.001, le=1000, description="side of such a voxel; none: 1/8 of the radius"
         )
         search: Literal["exhaustive", "pruned"] = Field(
             "exhaustive",
@@ -180,11 +180,12 @@ def spin_grid(models: Sequence[ObjectModel], config: Scan.Config) -> SpinGrid:
     sizes = [model.size for model in models]
     narrow_m = min(float(min(size[0], size[1])) / 2 for size in sizes)
     radius_m = config.radius_m or RADIUS_HALF_WIDTHS * narrow_m
-    return SpinGrid.of(
-        radius_m=radius_m,
-        height_m=config.height_m or HEIGHT_SHARE * min(float(size[2]) for size in sizes),
-        bin_m=config.bin_m or radius_m / BINS_ALONG,
-    )
+    height_m = config.height_m or HEIGHT_SHARE * min(float(size[2]) for size in sizes)
+    try:
+        return SpinGrid.of(radius_m, height_m, config.bin_m or radius_m / BINS_ALONG)
+    except ValueError as error:
+        text = str(error).removeprefix("SpinGrid: ")
+        raise StageError(f"{text} (see [scan] radius_m, height_m and bin_m)") from None
 
 
 def _expected_image(

@@ -11,6 +11,7 @@ from spinpipe.schemas.arrays import F64
 from spinpipe.schemas.records import Cluster, Detection, FitTrace, ObjectModel, Part, Sampling
 from spinpipe.stages.geometry.frames import heading_deg, transform, vector
 from spinpipe.stages.geometry.model_surface import model_surface
+from spinpipe.stages.stage import StageError
 from spinpipe.stages.threads import map_threads
 from spinpipe.stages.verify.candidates import Candidates
 from spinpipe.stages.verify.decide.decision import decide
@@ -79,7 +80,10 @@ def verify_by_evidence(
 
 def _field(model: tuple[ObjectModel, tuple[F64, F64]]) -> ModelField:
     known, (points, normals) = model
-    return build_model_field(known.name, points, normals)
+    try:
+        return build_model_field(known.name, points, normals)
+    except ValueError as error:  # flat, or nothing of it shows from above
+        raise StageError(f"{error}; give another model, or [verify] method = 'trimmed'") from None
 
 
 def _detection(

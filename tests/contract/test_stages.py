@@ -392,3 +392,4 @@ def test_every_key_is_described_and_every_number_bounded(key: str) -> None:
     if kinds & {int, float}:
         bounds = {type(bound).__name__ for bound in field.metadata}
         assert bounds & {"Gt", "Ge"}, "no lower bound"
+        assert bounds & {"Lt", "Le"}, "no upper bound"

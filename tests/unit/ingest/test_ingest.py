@@ -168,7 +168,7 @@ def test_bad_scenes(tmp_path: Path, xyz: Any, message: str) -> None:
 
 def test_config_bounds(tmp_path: Path) -> None:
     cases: list[tuple[dict[str, Any], str]] = [
-        ({"scale": 0.0}, "greater than 0"),
+        ({"scale": 0.0}, "greater than"),
         ({"tile_points": 10}, "greater than or equal to 1024"),
         ({"typo": 1}, "Extra inputs"),
     ]

@@ -167,7 +167,7 @@ def test_bytes_that_are_no_text_are_no_toml(tmp_path: Path) -> None:
         ("[scan]\nraduis_m = 2\n", "[scan] has no key 'raduis_m'. Did you mean 'radius_m'?"),
         ("[scann]\nradius_m = 2\n", "no section [scann]. Did you mean 'scan'?"),
         ("[nonsense]\n", "no section [nonsense]. There are: run, ingest"),
-        ("[scan]\nradius_m = -2\n", "[scan] radius_m = -2: input should be greater than 0"),
+        ("[scan]\nradius_m = -2\n", "[scan] radius_m = -2: input should be greater than"),
         ("[scan]\nradius_m = 'wide'\n", "[scan] radius_m = 'wide': input should be a valid number"),
         ("[scan]\nradius_m = nan\n", "[scan] radius_m = nan"),
         ("[scan]\nradius_m = inf\n", "[scan] radius_m = inf"),
