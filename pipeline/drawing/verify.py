@@ -29,7 +29,7 @@ from spinpipe.schemas.records import Detection
 
 _LEDGER = (
     *("fate", "score", "model", "reason", "correlation", "rms_m", "coverage_model"),
-    *("coverage_scene", "heading_deg", "heading_margin"),
+    *("coverage_scene", "heading_margin", "cause", "duplicate_of", "log_odds"),
 )
 """Columns of the table of all candidates: fields of a detection."""
 
@@ -125,6 +125,9 @@ def _draw_ledger(rec: rr.RecordingStream, detections: Sequence[Detection]) -> No
     columns: dict[str, list[str | float]] = {
         name: [_rounded(getattr(d, name)) for d in detections] for name in _LEDGER
     }
+    columns["heading_world_deg"] = [_rounded(d.heading_deg) for d in detections]
+    for i, axis in enumerate("xyz"):
+        columns[f"{axis}_scene"] = [_rounded(d.position_scene[i]) for d in detections]
     rec.send_columns(
         "verify/ledger",
         indexes=first_steps(order_fits(detections, [])),
