@@ -18,6 +18,7 @@ _TRY = {
     "scene": "the model is smaller than what stands there: is its unit right?",
     "residual": "allow [[model]] stretch, or state [verify.evidence] tolerance_m",
     "outline": "what stands there goes on beyond the model: is its unit right?",
+    "alike": "they fit worse than what was accepted: [verify.evidence] tolerance_m allows for more",
     "stands": "the model's file may have its base elsewhere, or the ground lies higher there",
 }
 """What to do where a part of the score is the weakest of most candidates."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.stages.verify.decide.continuation import SIDES, explained_sides, first_continuing
+from spinpipe.stages.verify.decide.group import judged_by_group
 from spinpipe.stages.verify.decide.neighbours import explain_neighbours, standing
 from spinpipe.stages.verify.decide.verdict import Cause, Fate, Rules, Verdict
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
@@ -26,6 +27,8 @@ NO_ODDS = -99.0
 def decide(examiner: Examiner, table: Hypotheses, places: F64, rules: Rules) -> list[Verdict]:
     """The verdict on every candidate, given all hypotheses."""
     table = explain_neighbours(examiner, table, rules.min_score)
+    near = standing(examiner, table, rules.min_score)
+    table = judged_by_group(examiner, table, near.best.rows(near.displaced_by < 0))
     near = standing(examiner, table, rules.min_score)
     best = near.best
     continuing = first_continuing(

@@ -14,14 +14,16 @@ from spinpipe.stages.verify.judge.tolerance import Tolerance
 
 F64 = NDArray[np.float64]
 
-PARTS = ("model", "sides", "scene", "residual", "outline", "stands")
+PARTS = ("model", "sides", "scene", "residual", "outline", "stands", "alike")
 """model: visible surface of the model that the scene shows, against what the scene contradicts.
 sides: the same for upright surfaces, as far as they can be judged.
 scene: points in the model's bounding box that lie on its surface, beyond chance; in noise that
 swallows the shape, how many there are.
 residual: how much closer they lie than chance would put them.
 outline: how far the scene drops where the model ends.
-stands: whether the base is at the local ground, and that around the outline."""
+stands: whether the base is at the local ground, and that around the outline.
+alike: whether its residual is one that instances of this scene have, see ``decide.group``; 1 until
+all candidates are known."""
 
 HIDDEN = 0.5
 """Weight of surface below something else: less than what is seen through, more than nothing."""
@@ -37,14 +39,14 @@ WORTHLESS = 1e-3
 """Part from which less makes no difference."""
 LITTLE = 0.1
 """Merit of being better than a right instance usually is: enough to choose between headings."""
-POWERS = (8.0, 5.0, 1.5, 5.0, 13.0, 5.0)
+POWERS = (8.0, 5.0, 1.5, 5.0, 13.0, 5.0, 1.0)
 """Of the parts: how much a share of what a right instance shows is worth, in log odds.
 
 Rounded from a logistic regression with weights of at least 0 over the distinct candidates of eight
 labelled cases of six scenes, each with equal weight, as many right as wrong ones; a scene that is
 left out is judged as well by what the others say (docs/verification.md). Rounded towards each other
 where parts tell much the same: outline, model and sides less, residual more; scene, which tells
-next to nothing there, is kept for decoys of artificial scenes.
+next to nothing there, is kept for decoys of artificial scenes. alike is a likelihood already.
 """
 ODDS = 5.2
 """Logarithm of the odds that what is as good as a right instance is one; measured likewise."""
@@ -95,7 +97,8 @@ def score_parts(
     # many points make the ground, so its height is known much better than the noise of one
     stands = np.clip(2.0 - np.abs(above_ground_m) / (STANDS * height_m), 0.0, 1.0)
     stands = stands * column["grounded"]
-    return np.stack([model, sides, scene, residual, np.cbrt(column["drop"]), stands], axis=1)
+    outline, alike = np.cbrt(column["drop"]), np.ones_like(shown)
+    return np.stack([model, sides, scene, residual, outline, stands, alike], axis=1)
 
 
 def log_odds(parts: F64, reference: F64) -> F64:
