@@ -13,20 +13,22 @@ from scan_scenes import GRID, scene_blocks
 PCL_ORIGINS = 500
 
 
-def compile_pcl(folder: Path) -> Path | None:
-    """Compile the peer, or say why not."""
-    program = folder / "pcl_spin"
-    source = Path(__file__).with_name("pcl_spin.cpp")
+def compile_pcl(
+    folder: Path, name: str = "pcl_spin", module: str = "pcl_features", arch: str = "-march=native"
+) -> Path | None:
+    """Compile a peer, or say why not. What PCL compiled itself must be met without ``arch``."""
+    program = folder / name
+    source = Path(__file__).with_name(f"{name}.cpp")
     if not shutil.which("g++") or not shutil.which("pkg-config"):
         print("PCL left out: no g++ or pkg-config")
         return None
     flags = subprocess.run(
-        ["pkg-config", "--cflags", "--libs", "pcl_features"], capture_output=True, text=True
+        ["pkg-config", "--cflags", "--libs", module], capture_output=True, text=True
     )
     if flags.returncode:
         print("PCL left out: no libpcl-dev")
         return None
-    command = ["g++", "-O3", "-march=native", "-o", str(program), str(source)]
+    command = ["g++", "-O3", *arch.split(), "-o", str(program), str(source)]
     built = subprocess.run([*command, *flags.stdout.split()], capture_output=True, text=True)
     if built.returncode:
         print("PCL left out: it does not compile:", built.stderr[-400:])
