@@ -95,7 +95,9 @@ def score_parts(
     # uniform over the gate, residuals have a standard deviation of gate / sqrt(3)
     residual = 1.0 - np.minimum(3.0 * (column["rms_m"] / limits.gate_m) ** 2, 1.0)
     # many points make the ground, so its height is known much better than the noise of one
-    stands = np.clip(2.0 - np.abs(above_ground_m) / (STANDS * height_m), 0.0, 1.0)
+    # what is higher than the model may be stretched leaves its base in the air
+    off = np.abs(above_ground_m) / ((STANDS + limits.stretch / 2) * height_m)
+    stands = np.clip(2.0 - off, 0.0, 1.0)
     stands = stands * column["grounded"]
     outline, alike = np.cbrt(column["drop"]), np.ones_like(shown)
     return np.stack([model, sides, scene, residual, outline, stands, alike], axis=1)

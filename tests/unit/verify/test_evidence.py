@@ -101,3 +101,15 @@ def test_the_ends_tell_where_along_its_axis_a_long_object_stands():
     verdicts = verdicts_on(cloud, [known], places)
     assert [v.fate for v in verdicts] == ["accepted"] * 5
     assert np.abs([v.pose[0] for v in verdicts]).max() < 0.15
+
+
+def test_what_fits_worse_than_all_instances_of_the_scene_is_none():
+    barrel, crate = cylinder(0.29, 0.88, 24), box(0.58, 0.58, 0.88)
+    row = [placed(barrel, (1.5 * k, 0, 0)) for k in range(-2, 2)]
+    cloud = cloud_of([*row, placed(crate, (0, 2, 0))], 9, 900, 0.03)
+    places = [(1.5 * k, 0, 0.88) for k in range(-2, 2)] + [(0, 2, 0.88)]
+    *right, wrong = verdicts_on(cloud, [known_object("barrel", barrel)], places)
+    assert min(v.parts["alike"] for v in right) > 0.3
+    assert [v.fate for v in right] == ["accepted"] * 4
+    assert wrong.parts["alike"] < 0.05
+    assert wrong.fate == "rejected"
