@@ -24,6 +24,8 @@ KNOWN = 3.0
 chosen: a little more than the widest of six labelled scenes has (0.02 to 0.15)."""
 KNOWN_SPREAD = 0.2
 """Spread of the logarithm of residual parts before any instance is known."""
+LEAST_SPREAD = 0.1
+"""Of any group: single instances are covered, dark or cut in part. Chosen."""
 BELOW_TOP = 2.0
 """Log odds below the median instance at which a candidate counts half as one of the group."""
 USUAL = 1.5
@@ -50,6 +52,7 @@ def judged_by_group(examiner: Examiner, table: Hypotheses, instances: Hypotheses
     middle, low = _quantiles(known, weights, (0.5, LOWER))
     count = weights.sum()
     spread = (count * (middle - low) + KNOWN * KNOWN_SPREAD) / (count + KNOWN)
+    spread = max(spread, LEAST_SPREAD)
     below = (middle - _worth(examiner, table)[:, residual]) / spread
     parts = table.parts.copy()
     parts[:, alike] = np.exp(-0.5 * np.clip(below - USUAL, 0.0, None) ** 2)
