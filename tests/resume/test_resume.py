@@ -240,7 +240,7 @@ def test_a_damaged_later_file_does_not_stop_a_run_that_draws(
 def test_no_command_reads_damaged_metadata(cli: Cli, yard_run: YardRun, command: str) -> None:
     """Metadata records have no checksum of their own: only that of the file tells."""
     path = yard_run.mcap("ground" if command == "cut" else "verify")
-    flip(path, path.read_bytes().index(b"topics", 60) + 18)
+    flip(path, path.read_bytes().index(b"begin_ns", 60) + 13)
     truth = yard_run.folder / "truth.csv"
     truth.write_text("x,y\n-3.1,-2.6\n")
     cut = ("model", "cut", yard_run.output, "--at", "3,2.7,0", "--size", "5,2.5,2")
