@@ -20,10 +20,10 @@ from spinpipe.stages.verify.judge.scoring import PARTS
 LOWER = 0.16
 """Quantile one standard deviation below the median of a normal distribution."""
 KNOWN = 3.0
-"""Instances that tell as much of the spread as what is known before; as in ``KNOWN_SPREAD``,
-chosen: a little more than the widest of six labelled scenes has (0.02 to 0.15)."""
+"""Instances that tell as much of the spread as ``KNOWN_SPREAD`` does. Chosen."""
 KNOWN_SPREAD = 0.2
-"""Spread of the logarithm of residual parts before any instance is known."""
+"""Spread of the logarithm of residual parts before any instance is known: chosen, a little more
+than the widest of six labelled scenes has (0.02 to 0.15, measured on their candidates)."""
 LEAST_SPREAD = 0.1
 """Of any group: single instances are covered, dark or cut in part. Chosen."""
 BELOW_TOP = 2.0
@@ -35,8 +35,8 @@ USUAL = 1.5
 def judged_by_group(examiner: Examiner, table: Hypotheses, instances: Hypotheses) -> Hypotheses:
     """The table with the part ``alike`` filled in, and scored again.
 
-    A part is the likelihood of a residual under the group, exp(-(t - USUAL)^2 / 2), t spreads below
-    the median. Median and spread are those of what is as good as most instances are.
+    ``alike`` is the likelihood of a residual under the group, exp(-(t - USUAL)^2 / 2), t spreads
+    below the median. Median and spread are those of what is as good as most instances are.
 
     Parameters
     ----------
