@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import io
 import json
+import os
 import re
 import shutil
 import sys
@@ -31,6 +33,11 @@ from spinpipe.stages.geometry.shapes import (
     sample_surface,
     surface_area,
 )
+
+# Many tests start processes that import the same libraries: compiled once, they start in half the
+# time, whatever the environment says.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 hypothesis.settings.register_profile("spinpipe", deadline=None, print_blob=True)
 hypothesis.settings.load_profile("spinpipe")  # no deadline: machines are busy, kernels compile
@@ -185,18 +192,38 @@ def yard() -> Yard:
     return make_yard()
 
 
+def shared_by_workers(
+    factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]
+) -> Path:
+    """A folder that the first worker of a test run fills and all others take as it is."""
+    root = factory.getbasetemp()
+    if os.environ.get("PYTEST_XDIST_WORKER"):
+        root = root.parent
+    folder, done = root / name, root / f"{name}.done"
+    with (root / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not done.exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            make(folder)
+            done.touch()
+    return folder
+
+
 @pytest.fixture(scope="session")
 def finished_yard(yard: Yard, tmp_path_factory: pytest.TempPathFactory) -> YardRun:
     """A complete run over the yard; copy it before changing anything."""
-    run = YardRun(tmp_path_factory.mktemp("yard"))
-    config = yard.write(run.folder, extra="\n[run]\nname = 'yard'\n")
-    text = config.read_text().replace(
-        'scene = "scene.ply"', 'scene = "scene.ply"\ntile_points = 2048'
-    )
-    config.write_text(text)
-    outcome = run_command_line("run", config, "--rerun", "off", "-o", run.output)
-    assert outcome.code == 0, outcome.err
-    return run
+
+    def make(folder: Path) -> None:
+        config = yard.write(folder, extra="\n[run]\nname = 'yard'\n")
+        text = config.read_text().replace(
+            'scene = "scene.ply"', 'scene = "scene.ply"\ntile_points = 2048'
+        )
+        config.write_text(text)
+        outcome = run_command_line("run", config, "--rerun", "off", "-o", folder / "run")
+        assert outcome.code == 0, outcome.err
+
+    return YardRun(shared_by_workers(tmp_path_factory, "yard", make))
 
 
 @pytest.fixture

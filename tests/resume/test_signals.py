@@ -34,8 +34,14 @@ def start(run: YardRun, *options: str) -> subprocess.Popen[str]:
     )
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.6])
+@pytest.mark.parametrize(
+    ("number", "share"),
+    [
+        *((signal.SIGINT, share) for share in (0.0, 0.3, 0.6)),
+        (signal.SIGTERM, 0.3),
+        (signal.SIGHUP, 0.6),
+    ],
+)
 def test_a_signal_ends_within_a_second_and_leaves_nothing(
     cli: Cli, yard_run: YardRun, number: signal.Signals, share: float
 ) -> None:
