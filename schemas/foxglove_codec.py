@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
@@ -143,12 +144,12 @@ def decode_calibration(data: bytes) -> Calibration:
     """Camera calibration -> calibration."""
     message = CameraCalibration.FromString(data)
     return Calibration(
-        camera=message.frame_id,
-        width=message.width,
-        height=message.height,
-        K=np.array(message.K).reshape(3, 3),
-        distortion_model=message.distortion_model,
-        D=tuple(message.D),
+        message.frame_id,
+        message.width,
+        message.height,
+        np.array(message.K).reshape(3, 3),
+        message.distortion_model,
+        tuple(message.D),
     )
 
 
@@ -189,10 +190,13 @@ def _set_transform(
 
 def _places(transforms: Iterable[FrameTransform]) -> tuple[F64, F64]:
     """Positions (N, 3) and quaternions (N, 4)."""
-    found = [(t.translation, t.rotation) for t in transforms]
-    positions = [(p.x, p.y, p.z) for p, _ in found]
-    rotations = [(q.x, q.y, q.z, q.w) for _, q in found]
-    return np.array(positions).reshape(-1, 3), np.array(rotations).reshape(-1, 4)
+    return _poses((t.translation, t.rotation) for t in transforms)
+
+
+def _poses(found: Iterable[tuple[Any, Any]]) -> tuple[F64, F64]:
+    """Positions (N, 3) and quaternions (N, 4) of messages with these members."""
+    rows = np.array([(p.x, p.y, p.z, q.x, q.y, q.z, q.w) for p, q in found]).reshape(-1, 7)
+    return rows[:, :3].copy(), rows[:, 3:].copy()
 
 
 def encode_instances(instances: InstancePoses) -> PosesInFrame:
@@ -209,8 +213,4 @@ def encode_instances(instances: InstancePoses) -> PosesInFrame:
 def decode_instances(data: bytes) -> InstancePoses:
     """Poses -> accepted instances."""
     poses = PosesInFrame.FromString(data).poses
-    positions = [(p.position.x, p.position.y, p.position.z) for p in poses]
-    rotations = [
-        (p.orientation.x, p.orientation.y, p.orientation.z, p.orientation.w) for p in poses
-    ]
-    return InstancePoses(np.array(positions).reshape(-1, 3), np.array(rotations).reshape(-1, 4))
+    return InstancePoses(*_poses((p.position, p.orientation) for p in poses))

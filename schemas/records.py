@@ -76,15 +76,21 @@ class SceneFrame:
 
 
 @dataclass(frozen=True)
-class Cameras:
-    """Where the photos were taken from."""
+class Poses:
+    """Where things are and how they are turned."""
 
     positions: F64
-    """(C, 3) metres, local frame."""
+    """(N, 3) metres."""
     quaternions_xyzw: F64
-    """(C, 4) rotation camera -> local; a camera looks along its +z, its -y is up."""
+    """(N, 4) rotation from the thing's own frame."""
+
+
+@dataclass(frozen=True)
+class Cameras(Poses):
+    """Where the photos were taken from, local frame; a camera looks along its +z, its -y is up."""
+
     names: tuple[str, ...]
-    """(C,) of the photos: files below the folder of photos where the format names them."""
+    """(N,) of the photos: files below the folder of photos where the format names them."""
 
 
 @dataclass(frozen=True)
@@ -104,25 +110,16 @@ class Calibration:
 
 
 @dataclass(frozen=True)
-class Trajectory:
-    """Where a lidar was at each of its sweeps."""
+class Trajectory(Poses):
+    """Where a lidar was at each of its sweeps, local frame."""
 
-    positions: F64
-    """(S, 3) metres, local frame."""
-    quaternions_xyzw: F64
-    """(S, 4) rotation sensor -> local."""
     times_ns: I64
-    """(S,) of the sweeps, since the epoch of the log."""
+    """(N,) of the sweeps, since the epoch of the log."""
 
 
 @dataclass(frozen=True)
-class InstancePoses:
-    """Poses of the accepted instances, for viewers."""
-
-    positions: F64
-    """(N, 3) metres, world: base centres."""
-    quaternions_xyzw: F64
-    """(N, 4) rotation object -> world."""
+class InstancePoses(Poses):
+    """Base centres and rotations of the accepted instances, world, for viewers."""
 
 
 @dataclass(frozen=True)

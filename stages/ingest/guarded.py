@@ -11,6 +11,7 @@ import pickle
 import resource
 import signal
 from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
@@ -58,6 +59,21 @@ def guarded(function: Callable[..., Iterator[T]], path: Path, *arguments: Any) -
                 yield value
     finally:
         _kill(child)
+
+
+COPY_AGAIN = "it may be cut short, copy or export it again"
+
+
+@contextmanager
+def readable(path: Path, kind: str, mend: str = COPY_AGAIN) -> Generator[None]:
+    """Say in a sentence that a library could not read a file; they raise errors of many kinds."""
+    try:
+        yield
+    except (MemoryError, StageError):
+        raise
+    except Exception as error:
+        what = " ".join(str(error).split()) or f"it ends too early: {type(error).__name__}"
+        raise StageError(f"{path}: cannot read the {kind} ({what}); {mend}") from error
 
 
 def _serve(

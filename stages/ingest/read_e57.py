@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from spinpipe.schemas.arrays import F64
 from spinpipe.stages.ingest.colour_range import full_colour, to_8_bit
 from spinpipe.stages.ingest.coordinates import Coordinates, beside, from_crs, parse_crs
-from spinpipe.stages.ingest.guarded import MOST_POINTS, guarded
+from spinpipe.stages.ingest.guarded import MOST_POINTS, guarded, readable
 from spinpipe.stages.ingest.scene_source import About, Chunk, white
 from spinpipe.stages.stage import StageError
 
@@ -172,16 +172,9 @@ def _opened(path: Path) -> Generator[tuple[Any, Any]]:
     """Root node and file."""
     from pye57 import libe57
 
-    try:
+    with readable(path, "E57 file"):
         image = libe57.ImageFile(str(path), "r")
         try:
             yield image.root(), image
         finally:
             image.close()
-    except MemoryError:
-        raise
-    except Exception as error:  # libE57Format raises its own
-        raise StageError(
-            f"{path}: cannot read the E57 file ({' '.join(str(error).split())}); it may be cut "
-            "short, copy or export it again"
-        ) from None

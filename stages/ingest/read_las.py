@@ -6,8 +6,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Generator, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from spinpipe.schemas.arrays import F64
 from spinpipe.stages.ingest.colour_range import full_colour, to_8_bit
 from spinpipe.stages.ingest.coordinates import Coordinates, beside, from_crs
-from spinpipe.stages.ingest.guarded import MOST_POINTS, guarded
+from spinpipe.stages.ingest.guarded import MOST_POINTS, guarded, readable
 from spinpipe.stages.ingest.scene_source import About, Chunk, white
 from spinpipe.stages.stage import StageError
 
@@ -103,7 +102,7 @@ class _Header:
 def _header(path: Path) -> Iterator[_Header]:
     import laspy
 
-    with _readable(path), laspy.open(path) as reader:
+    with readable(path, "LAS file"), laspy.open(path) as reader:
         header = reader.header
         compressed = header.are_points_compressed
         yield _Header(
@@ -122,26 +121,13 @@ def _points(
     """Coordinates (N, 3) and colours (N, 3) as they are, piece by piece."""
     import laspy
 
-    with _readable(path), laspy.open(path) as reader:
+    with readable(path, "LAS file"), laspy.open(path) as reader:
         reader.header.point_count = total  # a header may say 0
         for records in reader.chunk_iterator(points):
             xyz = np.empty((len(records), 3))
             for column, axis in enumerate((records.x, records.y, records.z)):
                 xyz[:, column] = np.asarray(axis, np.float64)
             yield xyz, _colours(records) if coloured else None
-
-
-@contextmanager
-def _readable(path: Path) -> Generator[None]:
-    try:
-        yield
-    except MemoryError:
-        raise
-    except Exception as error:  # laspy and its decompressor raise many kinds
-        raise StageError(
-            f"{path}: cannot read the LAS file ({' '.join(str(error).split())}); "
-            "it may be cut short, copy or export it again"
-        ) from error
 
 
 def _check_header(path: Path) -> int:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from spinpipe.schemas.arrays import F64, U8
 from spinpipe.stages.ingest.cloud_message import CloudMessage, Decode, decoder
 from spinpipe.stages.ingest.coordinates import Coordinates
-from spinpipe.stages.ingest.guarded import guarded
+from spinpipe.stages.ingest.guarded import guarded, readable
 from spinpipe.stages.ingest.packed_points import CHANNELS, colours_of, xyz_of
 from spinpipe.stages.ingest.scene_source import About, Chunk
 from spinpipe.stages.stage import StageError
@@ -23,6 +21,7 @@ FIXED_FRAMES = ("map", "odom", "world", "earth", "local")
 """Frames that do not move with the sensor: those of ROS REP 105, and what Foxglove and we use."""
 
 _LATEST_NS = 2**63 - 1
+_MEND = "it may be cut short: copy it again, or save what is there with 'mcap recover'"
 _METRES = Coordinates(name="metres", metres=(1.0, 1.0, 1.0), source="ROS REP 103")
 _TIMES = ("t", "time", "timestamp", "timestamps", "time_stamp", "offset_time")
 """What drivers call the time of a point: Ouster, Velodyne, Hesai and Robosense, Livox."""
@@ -123,7 +122,7 @@ def _overview(path: Path) -> Iterator[tuple[list[_Channel], list[str]]]:
     """Topics with clouds; of the others the names with the types of their messages."""
     clouds: dict[str, _Channel] = {}
     others: dict[str, str] = {}
-    with _readable(path), path.open("rb") as file:
+    with readable(path, "MCAP file", _MEND), path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         summary = reader.get_summary()
         topics = None
@@ -155,7 +154,7 @@ def _overview(path: Path) -> Iterator[tuple[list[_Channel], list[str]]]:
 
 
 def _sweeps(path: Path, topic: str) -> Iterator[Sweep]:
-    with _readable(path), path.open("rb") as file:
+    with readable(path, "MCAP file", _MEND), path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         for schema, channel, message in reader.iter_messages([topic]):
             decode = decoder(schema.name if schema else "", channel.message_encoding)
@@ -178,21 +177,3 @@ def _decoded(decode: Decode, data: bytes, topic: str) -> CloudMessage:
         return decode(data)
     except ValueError as error:
         raise ValueError(f"a message on {topic} is damaged: {error}") from None
-
-
-@contextmanager
-def _readable(path: Path) -> Generator[None]:
-    try:
-        yield
-    except MemoryError:
-        raise
-    except (McapError, ValueError) as error:
-        what = " ".join(str(error).split()) or "it ends too early"
-        raise StageError(
-            f"{path}: cannot read the MCAP file ({what}); it may be cut short: copy it again, or "
-            "save what is there with 'mcap recover'"
-        ) from None
-    except Exception as error:  # structs, decompressors
-        raise StageError(
-            f"{path}: cannot read the MCAP file ({type(error).__name__}: {error}); it is damaged"
-        ) from None

@@ -21,7 +21,7 @@ from spinpipe.schemas.arrays import F64, I64, U8
 from spinpipe.schemas.records import Vector
 from spinpipe.stages.geometry.shapes import draw_on_faces, face_areas_and_normals
 from spinpipe.stages.ingest.coordinates import Coordinates, beside
-from spinpipe.stages.ingest.guarded import guarded
+from spinpipe.stages.ingest.guarded import guarded, readable
 from spinpipe.stages.ingest.read_ply_faces import read_ply_mesh
 from spinpipe.stages.ingest.scene_source import About, MemorySource
 from spinpipe.stages.stage import StageError
@@ -124,19 +124,13 @@ def _by_trimesh(path: Path, kind: str) -> Iterator[tuple[F64, I64, U8 | None]]:
     import trimesh  # heavy: only where needed
     from trimesh.resolvers import FilePathResolver
 
-    try:
+    with readable(path, "mesh", "export it again"):
         with path.open("rb") as file:
             resolver = FilePathResolver(str(path))
             scene = trimesh.load_scene(
                 file, file_type=kind, resolver=resolver, process=False, skip_materials=True
             )
         mesh: Any = scene.to_mesh()
-    except MemoryError:
-        raise
-    except Exception as error:  # trimesh's loaders raise many kinds
-        raise StageError(
-            f"{path}: cannot read the mesh ({' '.join(str(error).split())}); export it again"
-        ) from error
     faces = np.asarray(mesh.faces, np.int64).reshape(-1, 3)
     visual: Any = getattr(mesh, "visual", None)
     rgb = None

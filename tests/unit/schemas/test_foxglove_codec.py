@@ -19,15 +19,7 @@ from spinpipe.schemas import (
     TRAJECTORY,
     UPRIGHT,
 )
-from spinpipe.schemas.records import (
-    Calibration,
-    Cameras,
-    CloudTile,
-    InstancePoses,
-    ScoreTile,
-    Trajectory,
-    Upright,
-)
+from spinpipe.schemas import records as r
 
 
 def points(count: int, seed: int = 0) -> np.ndarray:
@@ -56,7 +48,7 @@ def field_values(message: PointCloud, name: str) -> np.ndarray:
 
 def test_a_tile_reads_as_its_message_says() -> None:
     xyz, rgb = points(50), colours(50)
-    message = CLOUD.encode(CloudTile(xyz, rgb))
+    message = CLOUD.encode(r.CloudTile(xyz, rgb))
     assert isinstance(message, PointCloud)
     assert message.frame_id == "local"
     for axis, values in zip("xyz", xyz.T, strict=True):
@@ -71,7 +63,7 @@ def test_a_tile_reads_as_its_message_says() -> None:
     xyz=hnp.arrays(np.float32, st.tuples(st.integers(0, 20), st.just(3))),
 )
 def test_a_tile_comes_back_bit_for_bit(xyz: np.ndarray) -> None:
-    tile = CloudTile(xyz, colours(len(xyz)))
+    tile = r.CloudTile(xyz, colours(len(xyz)))
     back = CLOUD.decode(CLOUD.encode(tile).SerializeToString())
     assert back.xyz.tobytes() == xyz.tobytes()
     np.testing.assert_array_equal(back.rgb, tile.rgb, strict=True)
@@ -80,7 +72,7 @@ def test_a_tile_comes_back_bit_for_bit(xyz: np.ndarray) -> None:
 def test_scores_come_back_with_a_column_a_model() -> None:
     for models in ((), ("car",), ("car", "van-2", "a.b_c")):
         correlation = np.random.default_rng(2).uniform(-1, 1, (9, len(models))).astype(np.float32)
-        tile = ScoreTile(models, points(9), correlation, colours(9))
+        tile = r.ScoreTile(models, points(9), correlation, colours(9))
         message = SCORES.encode(tile)
         assert isinstance(message, PointCloud)
         assert message.frame_id == "world"
@@ -96,7 +88,7 @@ def test_scores_come_back_with_a_column_a_model() -> None:
 
 
 def test_scores_of_an_empty_tile_keep_their_models() -> None:
-    empty = ScoreTile(
+    empty = r.ScoreTile(
         ("car", "van"),
         np.empty((0, 3), np.float32),
         np.empty((0, 2), np.float32),
@@ -110,7 +102,7 @@ def test_scores_of_an_empty_tile_keep_their_models() -> None:
 def test_upright_comes_back_and_is_a_rotation() -> None:
     q = np.random.default_rng(5).normal(size=4)
     x, y, z, w = (q / np.linalg.norm(q)).tolist()
-    upright = Upright((x, y, z, w), (1.5, -2.0, 1e7))
+    upright = r.Upright((x, y, z, w), (1.5, -2.0, 1e7))
     assert UPRIGHT.decode(UPRIGHT.encode(upright).SerializeToString()) == upright
     R = upright.T_world_local[:3, :3]
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
@@ -123,20 +115,20 @@ def test_poses_come_back_also_when_there_are_none() -> None:
         positions, quaternions = rng.normal(size=(count, 3)), rng.normal(size=(count, 4))
         names = tuple(f"photos/{i}.jpg" for i in range(count))
         cameras = CAMERAS.decode(
-            CAMERAS.encode(Cameras(positions, quaternions, names)).SerializeToString()
+            CAMERAS.encode(r.Cameras(positions, quaternions, names)).SerializeToString()
         )
         np.testing.assert_array_equal(cameras.positions, positions)
         np.testing.assert_array_equal(cameras.quaternions_xyzw, quaternions)
         assert cameras.names == names
         times = rng.integers(0, 2**62, count)
         path = TRAJECTORY.decode(
-            TRAJECTORY.encode(Trajectory(positions, quaternions, times)).SerializeToString()
+            TRAJECTORY.encode(r.Trajectory(positions, quaternions, times)).SerializeToString()
         )
         np.testing.assert_array_equal(path.positions, positions)
         np.testing.assert_array_equal(path.quaternions_xyzw, quaternions)
         np.testing.assert_array_equal(path.times_ns, times)
         poses = INSTANCES.decode(
-            INSTANCES.encode(InstancePoses(positions, quaternions)).SerializeToString()
+            INSTANCES.encode(r.InstancePoses(positions, quaternions)).SerializeToString()
         )
         np.testing.assert_array_equal(poses.positions, positions)
         np.testing.assert_array_equal(poses.quaternions_xyzw, quaternions)
@@ -144,7 +136,7 @@ def test_poses_come_back_also_when_there_are_none() -> None:
 
 def test_a_calibration_comes_back_and_is_complete() -> None:
     K = np.array([[800.0, 0, 319.5], [0, 810.0, 239.5], [0, 0, 1]])
-    calibration = Calibration("a.jpg", 640, 480, K, "plumb_bob", (0.1, 0.0, 0.0, 0.0, 0.0))
+    calibration = r.Calibration("a.jpg", 640, 480, K, "plumb_bob", (0.1, 0.0, 0.0, 0.0, 0.0))
     message: Any = CALIBRATIONS.encode(calibration)
     back = CALIBRATIONS.decode(message.SerializeToString())
     np.testing.assert_array_equal(back.K, K)
