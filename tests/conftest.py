@@ -192,26 +192,33 @@ def yard() -> Yard:
     return make_yard()
 
 
-def shared_by_workers(
-    factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]
-) -> Path:
-    """A folder that the first worker of a test run fills and all others take as it is."""
-    root = factory.getbasetemp()
-    if os.environ.get("PYTEST_XDIST_WORKER"):
-        root = root.parent
-    folder, done = root / name, root / f"{name}.done"
-    with (root / f"{name}.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not done.exists():
-            shutil.rmtree(folder, ignore_errors=True)
-            folder.mkdir()
-            make(folder)
-            done.touch()
-    return folder
+SharedByWorkers = Callable[[str, Callable[[Path], None]], Path]
+"""``shared_by_workers(name, make)``: a folder that the first worker has made, to be copied."""
 
 
 @pytest.fixture(scope="session")
-def finished_yard(yard: Yard, tmp_path_factory: pytest.TempPathFactory) -> YardRun:
+def shared_by_workers(tmp_path_factory: pytest.TempPathFactory) -> SharedByWorkers:
+    """What several workers of a test run would compute alike is computed by one."""
+    root = tmp_path_factory.getbasetemp()
+    if os.environ.get("PYTEST_XDIST_WORKER"):
+        root = root.parent
+
+    def folder_of(name: str, make: Callable[[Path], None]) -> Path:
+        folder, done = root / name, root / f"{name}.done"
+        with (root / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not done.exists():
+                shutil.rmtree(folder, ignore_errors=True)
+                folder.mkdir()
+                make(folder)
+                done.touch()
+        return folder
+
+    return folder_of
+
+
+@pytest.fixture(scope="session")
+def finished_yard(yard: Yard, shared_by_workers: SharedByWorkers) -> YardRun:
     """A complete run over the yard; copy it before changing anything."""
 
     def make(folder: Path) -> None:
@@ -223,7 +230,7 @@ def finished_yard(yard: Yard, tmp_path_factory: pytest.TempPathFactory) -> YardR
         outcome = run_command_line("run", config, "--rerun", "off", "-o", folder / "run")
         assert outcome.code == 0, outcome.err
 
-    return YardRun(shared_by_workers(tmp_path_factory, "yard", make))
+    return YardRun(shared_by_workers("yard", make))
 
 
 @pytest.fixture

@@ -54,7 +54,25 @@ def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("environment")
     uv("venv", "--no-project", folder)
     uv("pip", "install", "--python", folder / "bin" / "python", wheel)
+    (packages,) = folder.glob("lib/*/site-packages/spinpipe")
+    lend_kernels(packages)
     return folder
+
+
+def lend_kernels(packages: Path) -> None:
+    """Kernels that were compiled from the same sources here serve there; compiling takes a minute.
+
+    Numba takes a kernel for its source's if that has the same size and time.
+    """
+    for kernel in (ROOT / "stages").rglob("*.nb[ic]"):
+        target = packages / kernel.relative_to(ROOT)
+        target.parent.mkdir(exist_ok=True)
+        shutil.copy(kernel, target)
+    for source in (ROOT / "stages").rglob("*.py"):
+        target = packages / source.relative_to(ROOT)
+        assert target.read_bytes() == source.read_bytes()
+        target.unlink()  # a link to what uv keeps
+        shutil.copy2(source, target)
 
 
 def test_every_module_is_in_the_wheel_and_nothing_else(wheel: Path) -> None:

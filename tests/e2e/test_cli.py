@@ -7,21 +7,24 @@ import hashlib
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from tests.conftest import Outcome
 
 from spinpipe.pipeline.config import SECTIONS, own_keys
 from spinpipe.pipeline.demo import write_example
 from spinpipe.stages import STAGES
 
 if TYPE_CHECKING:
-    from tests.conftest import Cli, Outcome, Yard, YardRun
+    from tests.conftest import Cli, SharedByWorkers, Yard, YardRun
 
 NAMES = [stage.name for stage in STAGES]
 FILES = [f"{i:02d}_{name}.mcap" for i, name in enumerate(NAMES, 1)]
@@ -29,10 +32,18 @@ RERUN = Path(sys.executable).with_name("rerun")
 
 
 @pytest.fixture(scope="module")
-def demo(cli: Cli, tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Path]:
+def demo(
+    cli: Cli, shared_by_workers: SharedByWorkers, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Outcome, Path]:
     """The example that ships, with its recording."""
-    folder = tmp_path_factory.mktemp("demo")
-    return cli("demo", cwd=folder), folder / "recordings" / "demo"
+
+    def make(folder: Path) -> None:
+        outcome = cli("demo", cwd=folder)
+        (folder / "outcome.json").write_text(json.dumps(asdict(outcome)))
+
+    shared, own = shared_by_workers("demo", make), tmp_path_factory.mktemp("demo")
+    shutil.copytree(shared, own, dirs_exist_ok=True)
+    return Outcome(**json.loads((own / "outcome.json").read_text())), own / "recordings" / "demo"
 
 
 def found(output: Path) -> list[dict[str, Any]]:
