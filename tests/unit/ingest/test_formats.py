@@ -66,12 +66,13 @@ def pcd(encoding: str) -> bytes:
 @pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
 def test_pcd(tmp_path: Path, encoding: str) -> None:
     path = tmp_path / "cloud.dat"  # the suffix does not tell
-    path.write_bytes(pcd(encoding))
+    whole = pcd(encoding)
+    path.write_bytes(whole)
     xyz, rgb = read(path)
     np.testing.assert_allclose(xyz, XYZ, rtol=1e-6)
     np.testing.assert_array_equal(rgb, RGB)
-    for cut in range(len(pcd(encoding)) - (20 if encoding == "ascii" else 1), 0, -23):
-        path.write_bytes(pcd(encoding)[:cut])
+    for cut in range(len(whole) - (20 if encoding == "ascii" else 1), 0, -23):
+        path.write_bytes(whole[:cut])
         with pytest.raises(StageError) as caught:
             read(path)
         assert "\n" not in str(caught.value)

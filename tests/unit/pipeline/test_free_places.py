@@ -50,10 +50,11 @@ def test_places_do_not_overlap_and_keep_clear():
         assert apart(corners(a), corners(b))
 
 
-def test_fewer_places_than_wished_when_there_is_no_room():
+def test_fewer_places_than_wished_when_there_is_no_room(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("spinpipe.pipeline.scenes.free_places.TRIES", 200)
     grid = flat(cells=40)  # 10 m square
     free = np.zeros(grid.height.shape, bool)
-    places = free_places(grid, free, [CAR] * 50, 0.5, np.random.default_rng(0))
+    places = free_places(grid, free, [CAR] * 20, 0.5, np.random.default_rng(0))
     assert 2 <= len(places) < 15
     assert free_places(grid, ~free, [CAR], 0.5, np.random.default_rng(0)) == []
 
