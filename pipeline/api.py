@@ -28,8 +28,9 @@ from rich.console import Console
 from spinpipe import schemas
 from spinpipe.pipeline.atomic import scratch_folder
 from spinpipe.pipeline.config import RunConfig, load_config
-from spinpipe.pipeline.context import RunReader, thread_count
+from spinpipe.pipeline.context import RunReader
 from spinpipe.pipeline.engine import open_engine
+from spinpipe.pipeline.memory import fitting_threads
 from spinpipe.pipeline.outputs import locked
 from spinpipe.pipeline.plan import make_plan
 from spinpipe.pipeline.results.complete import open_run_folder
@@ -216,7 +217,7 @@ def _model(name: str, source: ModelSource, place: Path) -> dict[str, Any]:
 
 def _compute(config: RunConfig, folder: RunFolder) -> Found:
     steps = make_plan(config, folder)
-    threads = thread_count(config.execution.threads)
+    threads = fitting_threads(config, recording=False)
     with locked(folder.path), open_engine(config.execution, threads) as engine:
         reports = Runner(config, folder, engine, Console(quiet=True)).run(steps)
         read = RunReader(folder)

@@ -18,6 +18,7 @@ from spinpipe.pipeline.drawing.recording import RecordMode
 from spinpipe.pipeline.engine import open_engine
 from spinpipe.pipeline.init import commented_config, filled_in, preset_config
 from spinpipe.pipeline.inspect import Facts, inspect_file, look_again
+from spinpipe.pipeline.memory import fitting_threads
 from spinpipe.pipeline.outputs import locked, require_new, write_new
 from spinpipe.pipeline.plan import Step, make_plan
 from spinpipe.pipeline.recorder import recorder, recording_key
@@ -65,6 +66,9 @@ def execute(
     """
     console = Console(quiet=quiet)
     require_inputs_apart(config, folder)
+    threads = fitting_threads(config, recording=rerun != "off")
+    if threads < thread_count(config.execution.threads):
+        console.print(f"{threads} threads: no more fit into execution.memory_gb", highlight=False)
     with locked(folder.path, force=force) as outputs:
         outputs.claim(*folder.files)
         steps = make_plan(config, folder, start=start, until=until)
@@ -79,7 +83,7 @@ def execute(
         read = RunReader(folder, done)
         stages = [step.stage.name for step in steps if step.action != "skip"]
         with (
-            open_engine(config.execution, thread_count(config.execution.threads)) as engine,
+            open_engine(config.execution, threads) as engine,
             recorder(config, folder, rerun, outputs, keys) as draw,
         ):
 

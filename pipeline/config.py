@@ -44,7 +44,9 @@ class ExecutionSection(Section):
     engine: Literal["local", "dask"] = Field("local", description="where tiles are computed")
     scheduler: str = Field("", description="address of the Dask scheduler, tcp://host:port")
     threads: int = Field(0, ge=0, le=1024, description="0: all cores")
-    memory_gb: float = Field(4.0, ge=0.25, le=4096, description="upper bound on memory")
+    memory_gb: float = Field(
+        4.0, ge=0.25, le=4096, description="the run's process stays below it, or is refused"
+    )
 
 
 class RecordSection(Section):

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
+
+from threadpoolctl import threadpool_limits
 
 from spinpipe.pipeline.config import ConfigError, ExecutionSection
 from spinpipe.stages.stage import StageError
@@ -88,13 +91,31 @@ def _result(future: Future[Any]) -> Any:
 
 
 @contextmanager
+def _native_threads(threads: int) -> Generator[None]:
+    """Pools of libraries: no more than one thread beside each of ours; LAZ is read by all at once.
+
+    Sums of a linear algebra library come in another order with every number of threads, too.
+    """
+    before = os.environ.get("RAYON_NUM_THREADS")
+    os.environ["RAYON_NUM_THREADS"] = str(threads)
+    try:
+        with threadpool_limits(1):
+            yield
+    finally:
+        if before is None:
+            del os.environ["RAYON_NUM_THREADS"]
+        else:
+            os.environ["RAYON_NUM_THREADS"] = before
+
+
+@contextmanager
 def open_engine(config: ExecutionSection, cores: int) -> Generator[Engine]:
     """The engine that a config asks for, closed at the end.
 
     Parameters
     ----------
     config : the ``[execution]`` section.
-    cores : cores of this machine that may be used.
+    cores : threads that this process may use.
 
     Raises
     ------
@@ -104,7 +125,8 @@ def open_engine(config: ExecutionSection, cores: int) -> Generator[Engine]:
         If the scheduler does not answer or has no workers.
     """
     if config.engine == "local":
-        yield LocalEngine(config.threads or cores)
+        with _native_threads(cores):
+            yield LocalEngine(cores)
         return
     try:
         from distributed import Client

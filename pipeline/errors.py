@@ -26,17 +26,26 @@ def describe(error: BaseException) -> tuple[str, int]:
 
     Set ``SPINPIPE_TRACEBACK=1`` to see where an internal error came from.
     """
+    text, code = _text_and_code(error)
+    if code == INTERNAL_ERROR and os.environ.get("SPINPIPE_TRACEBACK"):
+        return "".join(traceback.format_exception(error)), code
+    # names in files may hold line ends, and escapes that turn a terminal red
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text), code
+
+
+def _text_and_code(error: BaseException) -> tuple[str, int]:
     if isinstance(error, ConfigError):
         return str(error), USAGE_ERROR
     if isinstance(error, (StageError, DamagedFileError)):
         return str(error), INPUT_ERROR
     if isinstance(error, MemoryError):
-        return "out of memory: lower execution.memory_gb or record.preview_points", INPUT_ERROR
+        return (
+            "out of memory: lower execution.memory_gb, execution.threads or record.preview_points",
+            INPUT_ERROR,
+        )
     if isinstance(error, OSError):
         mend = _MENDS.get(error.errno or 0, "")
         return f"{error.filename or 'input/output'}: {error.strerror or error}{mend}", INPUT_ERROR
-    if os.environ.get("SPINPIPE_TRACEBACK"):
-        return "".join(traceback.format_exception(error)), INTERNAL_ERROR
     text = " ".join(str(error).split())
     return (
         f"internal error: {type(error).__name__}: {text} "

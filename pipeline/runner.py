@@ -19,6 +19,7 @@ from spinpipe.pipeline.context import RunContext
 from spinpipe.pipeline.engine import Engine
 from spinpipe.pipeline.keys import input_identities
 from spinpipe.pipeline.mcap_file import DamagedFileError, StageFileWriter, read_metadata, recover
+from spinpipe.pipeline.memory import working_bytes
 from spinpipe.pipeline.plan import Step
 from spinpipe.pipeline.progress import stage_progress
 from spinpipe.pipeline.run_folder import RunFolder
@@ -125,7 +126,7 @@ class Runner:
                     folder=self._folder,
                     writer=writer,
                     engine=self._engine,
-                    memory_bytes=int(self._config.execution.memory_gb * 1e9),
+                    memory_bytes=working_bytes(self._config.execution.memory_gb),
                     scratch=self._folder.path,
                     progress=progress,
                 )

@@ -39,8 +39,8 @@ TREE_POINTS = 8000
 """Of a mesh: closer together than the points of a cloud of a small object."""
 MARGIN = 0.45
 """What is shown beside the object, as a share of its longer side."""
-AT_ONCE = 400
-"""Candidates whose points are held together."""
+POINTS_AT_ONCE = 1_000_000
+"""About so many points are held together, of candidates that lie near each other."""
 LOW_SHARE = 0.07
 """What is lower than this share of the height may be ground, as for the evidence."""
 COLUMN_SPACINGS = 2.0
@@ -107,12 +107,14 @@ def closeups(read: Reader, detections: Sequence[Detection], most_points: int) ->
     places = {cluster.id: cluster.position for cluster in read(CLUSTERS)}
     sampling = read(SAMPLING)[0]
     cloud = WorldCloud.of(read(CLOUD), read(TILES)[0], read(UPRIGHT)[0])
-    for start in range(0, len(detections), AT_ONCE):
-        block = detections[start : start + AT_ONCE]
-        reach = [_reach(d, spins.get(d.model)) for d in block]
-        for d, (xyz, rgb) in zip(block, _cut(cloud, block, reach), strict=True):
+    reach = np.array([_reach(d, spins.get(d.model)) for d in detections])
+    found: dict[int, Closeup] = {}
+    for rows in _blocks(cloud, detections, sampling.density * (2 * reach) ** 2):
+        block = [detections[row] for row in rows]
+        for row, d, (xyz, rgb) in zip(rows, block, _cut(cloud, block, reach[rows]), strict=True):
             spin = _own_spin(xyz, places.get(d.cluster), spins.get(d.model), hits.get(d.model))
-            yield _closeup(d, xyz, rgb, spin, looks[d.model], sampling, most_points)
+            found[row] = _closeup(d, xyz, rgb, spin, looks[d.model], sampling, most_points)
+    yield from (found[row] for row in range(len(detections)))
 
 
 def _look(model: ObjectModel) -> _Look:
@@ -134,12 +136,19 @@ def _reach(d: Detection, spin: SpinImage | None) -> float:
     return max(own, 1.5 * spin.radius_m if spin else 0.0)
 
 
-def _cut(
-    cloud: WorldCloud, detections: Sequence[Detection], reach: Sequence[float]
-) -> list[tuple[F32, U8]]:
+def _blocks(cloud: WorldCloud, detections: Sequence[Detection], points: F64) -> Iterator[list[int]]:
+    """Rows of detections, tile by tile, that have about ``POINTS_AT_ONCE`` points together."""
+    places = np.array([d.position_world for d in detections])[:, None, :2]
+    inside = (places >= cloud.low[:, :2]) & (places <= cloud.high[:, :2])
+    order = np.argsort(inside.all(axis=2).argmax(axis=1), kind="stable")
+    block = np.cumsum(points[order]) // POINTS_AT_ONCE
+    for number in np.unique(block):
+        yield order[block == number].tolist()
+
+
+def _cut(cloud: WorldCloud, detections: Sequence[Detection], half: F64) -> list[tuple[F32, U8]]:
     """World points and colours in a square around each; every tile is read once."""
     places = np.array([d.position_world for d in detections])
-    half = np.array(reach)
     found: list[list[tuple[F32, U8]]] = [[] for _ in detections]
     for number in range(len(cloud)):
         near = np.flatnonzero(

@@ -20,6 +20,7 @@ from spinpipe.stages.stage import StageError
 
 if TYPE_CHECKING:
     import rerun as rr
+    import rerun.blueprint as rrb
 
     from spinpipe.pipeline.drawing.drawing import Reader
     from spinpipe.pipeline.drawing.threshold import Truth
@@ -107,7 +108,22 @@ def record_stage(
     else:
         DRAW[stage](read, rec, preview_points)
     if stage in ("ingest", "model", "ground"):  # for the cloud, the views of models, the upright
-        rec.send_blueprint(build_blueprint(read, preview_points))
+        _send_blueprint(rec, build_blueprint(read, preview_points))
+
+
+def _send_blueprint(rec: rr.RecordingStream, blueprint: rrb.Blueprint) -> None:
+    """``rec.send_blueprint``, which keeps the stream that it makes, with two threads, for ever."""
+    import rerun as rr
+    import rerun_bindings
+
+    stream = rr.RecordingStream._from_native(  # pyright: ignore[reportPrivateUsage]
+        rerun_bindings.new_blueprint(APPLICATION_ID, make_default=False, make_thread_default=False)
+    )
+    stream.set_time("blueprint", sequence=0)
+    blueprint._log_to_stream(stream)  # pyright: ignore[reportPrivateUsage]
+    storage = stream.memory_recording().storage
+    rerun_bindings.send_blueprint(storage, True, True, recording=rec.to_native())
+    stream.disconnect()  # what it wrote to holds it otherwise
 
 
 def close_recording(rec: rr.RecordingStream, path: Path) -> None:

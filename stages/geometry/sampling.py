@@ -121,8 +121,7 @@ def _patch_planes(xyz: F64, first: I64) -> tuple[I64, F64]:
     """
     counts = np.diff(np.append(first, len(xyz)))
     mean = np.add.reduceat(xyz, first) / counts[:, None]
-    centred = xyz - np.repeat(mean, counts, axis=0)
-    x, y, z = centred.T
+    x, y, z = (xyz[:, axis] - np.repeat(mean[:, axis], counts) for axis in range(3))
     xx, xy, yy, xz, yz, zz = (
         np.add.reduceat(a * b, first) for a, b in ((x, x), (x, y), (y, y), (x, z), (y, z), (z, z))
     )

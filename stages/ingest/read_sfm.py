@@ -15,6 +15,9 @@ from spinpipe.schemas.records import Cameras
 from spinpipe.stages.ingest.scene_source import About, MemorySource
 from spinpipe.stages.stage import StageError
 
+_DAMAGE = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError, StopIteration,
+           RecursionError)  # fmt: skip
+"""What text and JSON of another shape than it should have leads to."""
 _FLIP = np.diag([1.0, -1.0, -1.0])
 """Bundler's cameras look along -z with +y up; ours along +z with -y up."""
 
@@ -40,7 +43,7 @@ def read_sfm(path: Path, kind: str) -> MemorySource:
     reader, name = readers[kind]
     try:
         source = reader(path)
-    except (ValueError, StopIteration, KeyError, IndexError, TypeError) as error:
+    except _DAMAGE as error:
         what = "it ends too early" if isinstance(error, StopIteration) else f"{error}"
         raise StageError(
             f"{path}: cannot read the {name} ({' '.join(what.split())}); it may be cut short, "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -126,6 +127,59 @@ def e57(path: Path) -> None:
         file.write_scan_raw(columns)
 
 
+def ros_log(path: Path) -> None:
+    """PointCloud2 of ROS 1 and 2, and messages and metadata that are not ours."""
+    from mcap.writer import Writer
+
+    fields = b"".join(
+        struct.pack("<I", 1) + axis + struct.pack("<IBI", 4 * i, 7, 1)
+        for i, axis in enumerate((b"x", b"y", b"z"))
+    )
+    data = POINTS.astype("<f4").tobytes()
+    message = (
+        struct.pack("<IIII", 3, 7, 5, 3) + b"map" + struct.pack("<III", 1, len(POINTS), 3)
+        + fields + struct.pack("<?III", False, 12, len(data), len(data)) + data + b"\1"
+    )  # fmt: skip
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros1")
+        schema = writer.register_schema("sensor_msgs/PointCloud2", "ros1msg", b"")
+        other = writer.register_schema("std_msgs/String", "ros1msg", b"string data")
+        cloud = writer.register_channel("/points", "ros1", schema, {"latching": "?"})
+        text = writer.register_channel("/text", "ros1", other)
+        for i in range(3):
+            writer.add_message(cloud, log_time=i, publish_time=i, data=message)
+            writer.add_message(text, log_time=i, publish_time=i, data=b"\3\0\0\0abc")
+        writer.add_metadata("stage", {"key": "of another program", "parts": "[]"})
+        writer.finish()
+
+
+def bundler(path: Path) -> None:
+    """[Snavely, Bundler manual]: cameras, then points with colours and where they were seen."""
+    lines = ["# Bundle file v0.3", f"2 {len(POINTS)}"]
+    for move in (1, 2):
+        lines += ["50 0 0", "1 0 0", "0 1 0", "0 0 1", f"0 0 {move}"]
+    for x, y, z in POINTS.tolist():
+        lines += [f"{x:.4f} {y:.4f} {z:.4f}", "9 8 7", "1 0 0 3.5 4.5"]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def patches(path: Path) -> None:
+    lines = ["PATCHES", str(len(POINTS))]
+    for x, y, z in POINTS.tolist():
+        lines += ["PATCHS", f"{x:.4f} {y:.4f} {z:.4f} 1", "0 0 1 0", "0.9 1 0", "1", "0", "0", ""]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def opensfm(path: Path) -> None:
+    shots = {f"{i}.jpg": {"rotation": [0, 0, 0.1], "translation": [0, i, 1]} for i in range(2)}
+    points = {
+        str(i): {"coordinates": xyz, "color": [9, 8, 7]} for i, xyz in enumerate(POINTS.tolist())
+    }
+    document = {"cameras": {}, "shots": shots, "points": points, "reference_lla": {"latitude": 1}}
+    path.write_text(json.dumps([document]))
+
+
 def mesh(path: Path) -> None:
     trimesh.creation.icosphere(subdivisions=1).export(path)
 
@@ -177,7 +231,12 @@ FORMATS: dict[str, tuple[str, Callable[[Path], object], Callable[[Path], object]
     "toml": ("c.toml", lambda p: p.write_text(CONFIG), load_config),
     "mcap": ("01_ingest.mcap", mcap, read_mcap),
     "log": ("a.mcap", log, read_scene),
+    "ros-log": ("a.mcap", ros_log, read_scene),
     "e57": ("a.e57", e57, read_scene),
+    "bundler": ("bundle.out", bundler, read_scene),
+    "patch": ("option.patch", patches, read_scene),
+    "opensfm": ("reconstruction.json", opensfm, read_scene),
+    "dae": ("m.dae", mesh, read_object),
     "labels": ("t.csv", labels, read_labels),
 }
 """File name, what writes a whole one, what reads it; by format."""

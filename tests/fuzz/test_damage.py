@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 READERS = (
     *("ply", "ply-text", "ply-mesh", "las", "laz", "colmap-points", "colmap-images"),
-    *("colmap-text", "pcd-text", "pcd", "text", "obj", "stl", "off", "glb", "gltf"),
+    *("colmap-text", "pcd-text", "pcd", "text", "obj", "stl", "off", "glb", "gltf", "dae"),
+    *("log", "ros-log", "e57", "bundler", "patch", "opensfm"),
 )
 CUTS = (0.0, 0.02, 0.1, 0.3, 0.6, 0.9, 0.99)
 

@@ -99,7 +99,7 @@ def test_threads_and_memory_change_no_byte(
         yard_run,
         *("--from", "ingest"),
         *("--set", "execution.threads=1"),  # the other run took as many as there are cores
-        *("--set", "execution.memory_gb=0.25"),
+        *("--set", "execution.memory_gb=1"),
     )
     assert_same_results(yard_run, finished_yard)
 
