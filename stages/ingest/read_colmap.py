@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from spinpipe.schemas.records import Calibration, Cameras
+from spinpipe.stages.ingest.coordinates import Coordinates
 from spinpipe.stages.ingest.lens import MODELS, calibration
 from spinpipe.stages.ingest.packed_points import xyz_of
 from spinpipe.stages.ingest.ply_lists import ListRows
@@ -30,6 +31,10 @@ _POINT = [(None, "<u8"), *[(None, "<f8")] * 3, *[(None, "<u1")] * 3, (None, "<f8
 _SUFFIXES = (".bin", ".txt")
 _LEAST_NORM = 1e-6
 """Of a quaternion that means something; COLMAP writes unit ones."""
+_EARTH_M = (6.33e6, 6.40e6)
+"""From the middle of the Earth to anywhere on it or a little above [WGS 84]."""
+_FAR = 1e4
+"""Farther from the origin than this in units only a model lies that was put onto a map."""
 _NAMES = ("x", "y", "z", "red", "green", "blue")
 
 
@@ -116,8 +121,32 @@ def with_cameras(about: About, *folders: Path) -> About:
         if found is not None:
             cameras, calibrations = found
             photos = _photo_folder(folder, cameras.names[0])
-            return replace(about, cameras=cameras, calibrations=calibrations, photos=photos)
+            told = about.coordinates
+            if told.metres is None:
+                told = _georegistered(cameras) or told
+            return replace(
+                about, cameras=cameras, calibrations=calibrations, photos=photos, coordinates=told
+            )
     return about
+
+
+def _georegistered(cameras: Cameras) -> Coordinates | None:
+    """The unit by where the photos were taken; None where nothing tells.
+
+    COLMAP's own models are a few units wide about their middle; ``model_aligner`` puts them to
+    where GPS says, earth-centred, in a plane of the user's map, or about the first photo: the
+    latter cannot be told from a model that was never aligned.
+    """
+    away = float(np.median(np.linalg.norm(cameras.positions, axis=1)))
+    if not away > _FAR:
+        return None
+    geocentric = _EARTH_M[0] < away < _EARTH_M[1]
+    return Coordinates(
+        name=f"georegistered, {'earth-centred metres' if geocentric else 'metres of a map'}",
+        metres=(1.0, 1.0, 1.0),
+        geocentric=geocentric,
+        source=f"the photos lie {away:,.0f} units from the origin",
+    )
 
 
 def _read_cameras(folder: Path) -> tuple[Cameras, tuple[Calibration, ...]] | None:

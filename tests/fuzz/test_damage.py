@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from spinpipe.pipeline.errors import INPUT_ERROR, describe
+from spinpipe.stages.ingest.open_scene import open_scene
+from spinpipe.stages.ingest.survey import left_out, survey
 
 if TYPE_CHECKING:
     from tests.conftest import Cli
@@ -71,3 +73,31 @@ def test_points_that_make_no_scene(
     assert outcome.code == INPUT_ERROR
     assert message in outcome.err
     assert outcome.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["ply", "ply-text", "pcd", "pcd-text", "text", "colmap-points", "colmap-text", "log", "ros-log"]
+    + ["bundler", "patch", "opensfm"],
+)
+def test_odd_points_among_others_are_counted(
+    seeds: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    points = np.random.default_rng(0).uniform(-5, 5, (60, 3))
+    points[0], points[1], points[2] = np.nan, np.inf, 1e38
+    monkeypatch.setattr(seeds, "POINTS", points)
+    file, write, _ = seeds.FORMATS[name]
+    write(tmp_path / file)
+    source = open_scene(tmp_path if file.startswith("points3D") else tmp_path / file)
+    found = survey(source, file, 1000, Uncounted())
+    sweeps = source.points // len(points)
+    strays = 1 if sweeps == 1 else 0  # three equal ones are too many to be astray: refused later
+    assert (found.points, found.dropped, found.strays) == (58 * sweeps, 2 * sweeps, strays)
+    assert [line.split()[2] for line in left_out(found)] == [f"{2 * sweeps}", *["1"] * strays]
+
+
+class Uncounted:
+    """A counter that nobody looks at."""
+
+    def advance(self, steps: int = 1) -> None:
+        """Count nothing."""

@@ -390,3 +390,27 @@ def test_pmvs_patches(tmp_path: Path) -> None:
     path.write_text(f"PATCHES\n{len(XYZ) + 1}\n{patches}")
     with pytest.raises(StageError, match="cannot read the PMVS patch file"):
         read(path)
+
+
+@pytest.mark.parametrize(
+    ("place", "name"),
+    [
+        ((0, 0, 0), ""),
+        ((500_000, 5_400_000, 300), "georegistered, metres of a map"),
+        ((4_180_000, 860_000, 4_720_000), "georegistered, earth-centred metres"),
+    ],
+)
+def test_a_georegistered_colmap_model_is_said_to_be_one(
+    tmp_path: Path, place: tuple[float, float, float], name: str
+) -> None:
+    x, y, z = place
+    (tmp_path / "points3D.txt").write_text(
+        "".join(f"{i} {x + i} {y} {z} 9 8 7 0.5\n" for i in range(5))
+    )
+    (tmp_path / "cameras.txt").write_text("1 PINHOLE 64 48 50 50 32 24\n")
+    (tmp_path / "images.txt").write_text(
+        "".join(f"{i} 1 0 0 0 {-x - i} {-y} {-z} 1 {i}.jpg\n\n" for i in range(1, 4))
+    )
+    said = open_scene(tmp_path).about.coordinates
+    assert (said.name, said.metres) == (name, (1.0, 1.0, 1.0) if name else None)
+    assert said.geocentric == ("earth" in name)
