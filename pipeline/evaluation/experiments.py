@@ -81,6 +81,7 @@ def paper_settings(bin_m: float) -> list[str]:
         "scan.min_correlation=0.6",
         "scan.heights=any",
         "scan.origins=all",
+        "scan.model_origin=topmost",
         "scan.lift_m=0",
         "scan.noise_m=0",
         "cluster.method=delaunay",

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from spinpipe.schemas.arrays import F64
+from spinpipe.schemas.arrays import F64, Mask
 from spinpipe.schemas.records import ObjectModel
 from spinpipe.stages.geometry.seen_from_above import sample_seen, seen_from_around
 from spinpipe.stages.geometry.shapes import Mesh
@@ -16,6 +16,11 @@ from spinpipe.stages.geometry.shapes import Mesh
 SURFACE_POINTS = 60_000
 NORMAL_NEIGHBOURS = 12
 """Points of a cloud that a normal is estimated from."""
+TOP_SHARE = 0.05
+"""Share of its height by which a model's top may undulate: chosen."""
+STRAY_SHARE = 0.02
+"""Share of a model's surface that may rise above its top: an antenna, a bump of the reconstruction;
+chosen."""
 FACES_PER_VOXEL = 1.5
 """Mean number of voxels of side v that a surface of area v^2 touches, over all its directions."""
 
@@ -57,6 +62,15 @@ def points_on(points: NDArray[np.floating], density: float, voxels_along: int = 
         return 0.0
     occupied = np.unique(np.floor(points / voxel_m).astype(np.int64), axis=0)
     return len(occupied) * voxel_m**2 / FACES_PER_VOXEL * density
+
+
+def top_of(points: NDArray[np.floating]) -> Mask:
+    """(N,) which of (N, 3) points on a model, object frame, z up, make its top.
+
+    Those within ``TOP_SHARE`` of its height of a level that only strays lie above.
+    """
+    level = np.quantile(points[:, 2], 1.0 - STRAY_SHARE)
+    return points[:, 2] > (1.0 - TOP_SHARE) * level
 
 
 def topmost_point(points: NDArray[Any], tolerance_m: float = 1e-3) -> F64:

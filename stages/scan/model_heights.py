@@ -17,12 +17,12 @@ from spinpipe.stages.geometry.support import (
 )
 
 SLACK = 0.15
-"""How far the base may be off its support, as a share of the object's height: chosen."""
+"""How far the base may be off its support, as a share of the origin's height: chosen."""
 
 
 @dataclass(frozen=True)
 class HeightBands:
-    """Heights above what they stand on at which the tops of models lie."""
+    """Heights above what they stand on at which the origins of models lie."""
 
     bands: tuple[tuple[float, float], ...]
     """Lowest and highest of each model, metres."""
@@ -32,14 +32,23 @@ class HeightBands:
     sampling: Sampling
 
     @classmethod
-    def of(cls, models: Sequence[ObjectModel], sampling: Sampling) -> HeightBands:
-        """Bands of models, widened by their stretch, by slack and by the noise."""
+    def of(
+        cls, models: Sequence[ObjectModel], heights_m: Sequence[float], sampling: Sampling
+    ) -> HeightBands:
+        """Bands around the origins of models, widened by their stretch, by slack and by the noise.
+
+        Parameters
+        ----------
+        models : that are looked for.
+        heights_m : of the point of each at which its spin image is taken, above its base.
+        sampling : of the cloud.
+        """
         sizes = [model.size for model in models]
         bands: list[tuple[float, float]] = []
-        for model, size in zip(models, sizes, strict=True):
-            slack = SLACK * float(size[2]) + 3.0 * sampling.noise_m
-            low = float(size[2]) * (1.0 - model.stretch) - slack
-            bands.append((low, float(size[2]) * (1.0 + model.stretch) + slack))
+        for model, height_m in zip(models, heights_m, strict=True):
+            slack = SLACK * height_m + 3.0 * sampling.noise_m
+            low = height_m * (1.0 - model.stretch) - slack
+            bands.append((low, height_m * (1.0 + model.stretch) + slack))
         stretched = (
             float(np.hypot(size[0], size[1])) / 2 * (1.0 + model.stretch)
             for model, size in zip(models, sizes, strict=True)

@@ -1,7 +1,7 @@
 """Stage 3: the spin image of every model correlated with the one at every scene point.
 
-[Bovenkamp 2010], sections 2.1 and 2.2: upright objects need one spin image each, taken at the
-model's topmost point about the vertical; scene points whose own image correlates are hits.
+[Bovenkamp 2010], sections 2.1 and 2.2: upright objects need one spin image each, taken about the
+vertical through a point of the model's top; scene points whose own image correlates are hits.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from spinpipe.stages.scan.coarse_to_fine import VOXEL_RADII
 from spinpipe.stages.scan.hit_threshold import hit_threshold
 from spinpipe.stages.scan.image import SpinGrid, spin_image
 from spinpipe.stages.scan.model_heights import HeightBands
+from spinpipe.stages.scan.model_origin import typical_point
 from spinpipe.stages.scan.templates import Templates, extent_weights, object_image
 from spinpipe.stages.scan.tile import Origins, TileScan
 from spinpipe.stages.stage import Context, Section, StageError
@@ -68,6 +69,12 @@ class Scan:
         )
         bin_m: float | None = Field(
             None, ge=0.0001, le=100, description="side of a bin; none: 1/8 of the radius"
+        )
+        model_origin: Literal["typical", "topmost"] = Field(
+            "typical",
+            description="where on a model its image is taken: typical: at the point of its top "
+            "whose image resembles those of the others most; topmost: at its highest point, as in "
+            "the paper",
         )
         lift_m: float | None = Field(
             None,
@@ -123,7 +130,11 @@ class Scan:
         sampling = ctx.read_one(SAMPLING)
         lift_m = grid.bin_m / 2 if ctx.config.lift_m is None else ctx.config.lift_m
         noise_m = sampling.noise_m if ctx.config.noise_m is None else ctx.config.noise_m
-        images = [_expected_image(model, grid, lift_m, noise_m, ctx.rng) for model in models]
+        places = [_origin(model, grid, lift_m, ctx.config.model_origin) for model in models]
+        images = [
+            _expected_image(model, grid, place + [0.0, 0.0, lift_m], noise_m, ctx.rng)
+            for model, place in zip(models, places, strict=True)
+        ]
         weights = None
         if ctx.config.outside_weight < 1:
             weights = [extent_weights(image, ctx.config.outside_weight) for image in images]
@@ -134,7 +145,7 @@ class Scan:
         ctx.log(f"hits from a correlation of {least:.2f}")
         bands = None
         if ctx.config.heights == "model":
-            bands = HeightBands.of(models, sampling)
+            bands = HeightBands.of(models, [float(place[2]) for place in places], sampling)
         scan = TileScan(
             cloud=cloud,
             models=tuple(model.name for model in models),
@@ -161,9 +172,8 @@ class Scan:
             hits.add(scores)
             progress.advance()
         found = hits.collect()
-        for model, image in zip(models, images, strict=True):
-            top = topmost_point(model.points)
-            ctx.write(SPIN_IMAGES, _image(model.name, "model", grid, image, top, 1.0))
+        for model, image, place in zip(models, images, places, strict=True):
+            ctx.write(SPIN_IMAGES, _image(model.name, "model", grid, image, place, 1.0))
         for best in found:
             if len(best.points):
                 ctx.write(SPIN_IMAGES, _scene_image(cloud, best, grid, lift_m))
@@ -188,15 +198,20 @@ def spin_grid(models: Sequence[ObjectModel], config: Scan.Config) -> SpinGrid:
         raise StageError(f"{text} (see [scan] radius_m, height_m and bin_m)") from None
 
 
+def _origin(model: ObjectModel, grid: SpinGrid, lift_m: float, choice: str) -> F64:
+    points = model.points.astype(np.float64)
+    return typical_point(points, grid, lift_m) if choice == "typical" else topmost_point(points)
+
+
 def _expected_image(
-    model: ObjectModel, grid: SpinGrid, lift_m: float, noise_m: float, rng: np.random.Generator
+    model: ObjectModel, grid: SpinGrid, origin: F64, noise_m: float, rng: np.random.Generator
 ) -> F64:
     """The image that an instance is expected to have: of the model with the scene's noise."""
     points = model.points.astype(np.float64)
     noisy = np.concatenate(
         [points + noise_m * rng.standard_normal(points.shape) for _ in range(BLURS)]
     )
-    return object_image(noisy, grid, topmost_point(points) + [0.0, 0.0, lift_m])
+    return object_image(noisy, grid, origin)
 
 
 def _points_in(model: ObjectModel, image: F64, sampling: Sampling) -> F64:

@@ -157,6 +157,18 @@ def _fate(
                 "but the model is declared visible from above"
             ),
         )
+    # no return, but ground all around: dark paint, glass
+    reconstructed = observed + evidence["drop"] * evidence["ring"] * evidence["empty"]
+    share = reconstructed / max(1.0 - evidence["covered"], 1e-9)
+    if known.visible_from == "above" and share < rules.min_reconstructed:
+        return (
+            "ambiguous",
+            "observed",
+            (
+                f"only {share:.0%} of it was reconstructed, by the border or a hole of the cloud, "
+                "but the model is declared visible from above"
+            ),
+        )
     return (
         "accepted",
         "shown",

@@ -134,9 +134,9 @@ def poses_to_try(field, limits, top):
     tall = 1.0
     base = 0.0
     if limits.stretch > 0.0:
-        tall = top / field.size[2]
+        tall = top / field.top_level
         tall = min(max(tall, 1.0 - limits.stretch), 1.0 + limits.stretch)
-        base = top - tall * field.size[2]
+        base = top - tall * field.top_level
     side_x, side_y = offset_steps(field, limits)
     poses = np.ones((limits.headings * (2 * side_x + 1) * (2 * side_y + 1), POSE))
     n = 0

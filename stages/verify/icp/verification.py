@@ -11,7 +11,6 @@ from scipy.spatial import KDTree
 from spinpipe.schemas.arrays import F32, F64
 from spinpipe.schemas.records import Cluster, Detection, FitTrace, ObjectModel, SpinImage
 from spinpipe.stages.geometry.frames import heading_deg, inverse, transform, vector
-from spinpipe.stages.geometry.model_surface import topmost_point
 from spinpipe.stages.verify.candidates import Candidates
 from spinpipe.stages.verify.icp.fit import IcpFit
 from spinpipe.stages.verify.icp.kiss import kiss_icp_fit
@@ -71,7 +70,7 @@ class _Target:
         self.model = model
         self.image = image
         self.samples = samples
-        self.top = topmost_point(model.points)
+        self.top = np.asarray(image.origin)
         self.tree = KDTree(model.points.astype(np.float64))
 
     @classmethod

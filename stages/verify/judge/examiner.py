@@ -100,6 +100,7 @@ class Examiner:
         self.expected = tuple(r.points for r in right)
         self.stretch = np.array([o.stretch for o in objects])
         self.height_m = np.array([o.field.size[2] for o in objects])
+        self.top_m = np.array([a.top_level for a in self.arrays])
         self.starts = tuple(STARTS * (2 if has_long_top(a) else 1) for a in self.arrays)
         self.support_reach_m = reach_of(max(o.field.reach_m * (1 + o.stretch) for o in objects))
 
@@ -121,7 +122,7 @@ class Examiner:
         Parameters
         ----------
         points : (N, 3) world.
-        places : (C, 3) world, where the topmost point of an instance may be.
+        places : (C, 3) world, where the top of an instance may be.
         proposed : (C,) as which model each was proposed.
         threads : how many the kernels may use; the result is the same.
         """
@@ -180,7 +181,7 @@ class Examiner:
         self, surfaces: Surfaces, places: F64, proposed: I64
     ) -> tuple[F64, F64, NDArray[np.bool_]]:
         """Points (C, 3) and slopes (C, 2) of the supports, and whether there is one."""
-        height = self.height_m[proposed]
+        height = self.top_m[proposed]
         slack = BASE_SLACK * height + self.stretch[proposed] * height + 3 * self.sampling.noise_m
         support = find_support(places, places[:, 2] - height, surfaces, slack)
         origin = np.column_stack([places[:, :2], support.height])
@@ -213,7 +214,7 @@ class Examiner:
 
     def _like(self, m: int, top_m: float) -> I64:
         """Other models that may stretch and be as high as a candidate is above its support."""
-        wanted = top_m / self.height_m
+        wanted = top_m / self.top_m
         slack = self.stretch + BASE_SLACK
         fits = (self.stretch > 0) & (wanted > 1 - slack) & (wanted < 1 + slack)
         fits[m] = False

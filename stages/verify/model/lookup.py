@@ -9,14 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.stages.compiled import inner
+from spinpipe.stages.geometry.model_surface import top_of
 from spinpipe.stages.verify.model.field import ModelField
 
 POSE = 7
 """Numbers of a pose: x, y, z of the base centre, yaw, and the stretch along the object's axes."""
-
-
-TOP_SHARE = 0.05
-"""Share of its height by which a model's top may undulate."""
 
 
 class FieldArrays(NamedTuple):
@@ -37,6 +34,8 @@ class FieldArrays(NamedTuple):
     """(2,) middle of the top, on which a spin image's origin may be."""
     top_half: NDArray[np.float64]
     """(2,) half extents of the top."""
+    top_level: float
+    """Height of the top, metres."""
     origin: NDArray[np.float64]
     voxel_m: float
     nearest: NDArray[np.int32]
@@ -55,7 +54,8 @@ def field_arrays(model: ModelField) -> FieldArrays:
     """What kernels look up of a model."""
     surface = np.zeros((len(model.samples), 8))
     surface[:, :3], surface[:, 3:6] = model.samples, model.normals
-    top = model.samples[model.samples[:, 2] > (1.0 - TOP_SHARE) * model.size[2], :2]
+    level = model.samples[top_of(model.samples)]
+    top = level[:, :2]
     x, y = model.samples[:, 0], model.samples[:, 1]
     return FieldArrays(
         samples=model.samples,
@@ -69,6 +69,7 @@ def field_arrays(model: ModelField) -> FieldArrays:
         size=model.size,
         top=(top.min(axis=0) + top.max(axis=0)) / 2,
         top_half=np.ptp(top, axis=0) / 2,
+        top_level=float(np.median(level[:, 2])),
         origin=model.origin,
         voxel_m=float(model.voxel_m),
         nearest=model.nearest,

@@ -246,7 +246,7 @@ def outline_evidence(scene, field, pose, gate):
     whole = np.maximum(np.bincount(side, minlength=4), 1)
     well = sums[2] >= np.maximum(0.5 * np.bincount(side, minlength=4), 1)
     share = np.where(well, sums[0] / np.maximum(sums[2], 1), 1.0)
-    levels = np.where(well, sums[1] / np.maximum(sums[2], 1), 0.0)
+    levels = np.where(well, sums[1] / whole, 0.0)
     weight = (sums[2] / whole).sum()
     return {
         "drop": (sums[0] / whole).sum() / weight if weight > 0 else 0.0,
@@ -400,8 +400,8 @@ def coarse_fit(body, ground, field, pose, gate, enough):
 
 def poses_to_try(field, limits, top):
     """Every heading at whole steps around the origin."""
-    tall = np.clip(top / field.size[2], 1 - limits.stretch, 1 + limits.stretch)
-    base = top - tall * field.size[2] if limits.stretch > 0 else 0.0
+    tall = np.clip(top / field.top_level, 1 - limits.stretch, 1 + limits.stretch)
+    base = top - tall * field.top_level if limits.stretch > 0 else 0.0
     tall = tall if limits.stretch > 0 else 1.0
     along, across = (np.arange(-n, n + 1) * limits.step_m for n in offset_steps(field, limits))
     poses = []
