@@ -44,7 +44,9 @@ def cloud(tiles: int) -> WorldCloud:
 def scan(
     tiles: int, origins: Origins = "all", *, pruned: bool = True, banded: bool = False
 ) -> set[tuple[float, ...]]:
-    bands = HeightBands.of([MODEL], [float(MODEL.size[2])], Sampling(0.3, 0.005)) if banded else None
+    bands = (
+        HeightBands.of([MODEL], [float(MODEL.size[2])], Sampling(0.3, 0.005)) if banded else None
+    )
     task = TileScan(
         cloud=cloud(tiles),
         models=("car",),
