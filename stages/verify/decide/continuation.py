@@ -19,7 +19,11 @@ SIDES = ("front", "left", "back", "right")
 GOES_ON = 0.5
 """A body goes on where a surface is level with it along at least this share of a side."""
 BEYOND = np.array([0.2, 0.5, 0.9])
-"""Where outside a side a neighbour is looked for, in half extents of the narrow side."""
+"""Where outside a side a neighbour is looked for, in half extents of the narrow side or in
+``BRIDGED`` heights, whichever is more."""
+BRIDGED = 0.6
+"""Gap between bodies, in heights, that photos from above hardly see into: chosen, its bottom is
+seen from within 30 degrees of straight above only."""
 ALONG = np.array([-0.5, 0.0, 0.5])
 INTERIOR = np.stack(np.meshgrid([-0.8, -0.4, 0.0, 0.4, 0.8], [-0.8, -0.4, 0.0, 0.4, 0.8]), -1)
 """Places in a body, in half extents."""
@@ -66,11 +70,16 @@ def _pairs_within_reach(
     poses: F64, sizes: F64, near_poses: F64, near_sizes: F64
 ) -> tuple[I64, I64]:
     """Rows of fits and of the instances that may lie beyond their sides, pair by pair."""
-    reach = np.hypot(sizes[:, 0], sizes[:, 1]) / 2 + BEYOND.max() * sizes[:, :2].min(axis=1) / 2
+    reach = np.hypot(sizes[:, 0], sizes[:, 1]) / 2 + BEYOND.max() * _apart(sizes)
     reach += np.hypot(near_sizes[:, 0], near_sizes[:, 1]).max() / 2
     found = KDTree(near_poses[:, :2]).query_ball_point(poses[:, :2], reach, return_sorted=True)
     fit = np.repeat(np.arange(len(poses)), [len(rows) for rows in found])
     return fit, np.concatenate([np.asarray(rows, np.int64) for rows in found])
+
+
+def _apart(sizes: F64) -> F64:
+    """(S,) how far beyond a side a neighbour may begin, metres."""
+    return np.maximum(sizes[:, :2].min(axis=1) / 2, BRIDGED * sizes[:, 2])
 
 
 def _places_beyond(poses: F64, sizes: F64) -> F64:
@@ -79,7 +88,7 @@ def _places_beyond(poses: F64, sizes: F64) -> F64:
     local = np.zeros((len(poses), len(SIDES), len(BEYOND), len(ALONG), 2))
     for side in range(len(SIDES)):
         outwards, along = (0, 1) if side % 2 == 0 else (1, 0)
-        reach = half[:, outwards, None] + half.min(axis=1)[:, None] * BEYOND
+        reach = half[:, outwards, None] + _apart(sizes)[:, None] * BEYOND
         local[:, side, :, :, outwards] = (1 if side < 2 else -1) * reach[:, :, None]
         local[:, side, :, :, along] = (half[:, along, None] * ALONG)[:, None]
     cos, sin = np.cos(poses[:, 3]), np.sin(poses[:, 3])

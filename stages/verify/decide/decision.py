@@ -157,9 +157,10 @@ def _fate(
                 "but the model is declared visible from above"
             ),
         )
-    # no return, but ground all around: dark paint, glass
-    reconstructed = observed + evidence["drop"] * evidence["ring"] * evidence["empty"]
-    share = reconstructed / max(1.0 - evidence["covered"], 1e-9)
+    # dark paint and glass give no return, but ground is seen all around them
+    missing = 1.0 - evidence["ring"]
+    swallowed = evidence["drop"] * max(evidence["empty"] - missing, 0.0)
+    share = (observed + swallowed) / max(1.0 - evidence["covered"], 1e-9)
     if known.visible_from == "above" and share < rules.min_reconstructed:
         return (
             "ambiguous",

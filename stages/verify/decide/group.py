@@ -17,8 +17,8 @@ from spinpipe.stages.verify.judge.examiner import Examiner
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
 from spinpipe.stages.verify.judge.scoring import PARTS
 
-LOWER = 0.16
-"""Quantile one standard deviation below the median of a normal distribution."""
+HIGHER = 0.84
+"""Quantile one standard deviation above the median of a normal distribution."""
 KNOWN = 3.0
 """Instances that tell as much of the spread as ``KNOWN_SPREAD`` does. Chosen."""
 KNOWN_SPREAD = 0.2
@@ -26,8 +26,10 @@ KNOWN_SPREAD = 0.2
 than the widest of six labelled scenes has (0.02 to 0.15, measured on their candidates)."""
 LEAST_SPREAD = 0.1
 """Of any group: single instances are covered, dark or cut in part. Chosen."""
+GOOD = 0.75
+"""Quantile of the log odds of what seems to be right: as many decoys as instances lie lower."""
 BELOW_TOP = 2.0
-"""Log odds below the median instance at which a candidate counts half as one of the group."""
+"""Log odds below those at which a candidate counts half as one of the group. Chosen."""
 USUAL = 1.5
 """Spreads below the median that tell nothing: a fifteenth of a normal distribution lies lower."""
 
@@ -36,7 +38,8 @@ def judged_by_group(examiner: Examiner, table: Hypotheses, instances: Hypotheses
     """The table with the part ``alike`` filled in, and scored again.
 
     ``alike`` is the likelihood of a residual under the group, exp(-(t - USUAL)^2 / 2), t spreads
-    below the median. Median and spread are those of what is as good as most instances are.
+    below the median. The median and the spread above it, where no decoy reaches, are those of what
+    is as good as the better half of what seems to be right.
 
     Parameters
     ----------
@@ -45,24 +48,23 @@ def judged_by_group(examiner: Examiner, table: Hypotheses, instances: Hypotheses
     """
     if len(instances.model) == 0:
         return table
-    residual, alike = PARTS.index("residual"), PARTS.index("alike")
-    known = _worth(examiner, instances)[:, residual]
-    (usual,) = _quantiles(instances.odds, instances.score, (0.5,))
-    weights = expit(instances.odds - usual + BELOW_TOP)
-    middle, low = _quantiles(known, weights, (0.5, LOWER))
+    (good,) = _quantiles(instances.odds, instances.score, (GOOD,))
+    weights = expit(instances.odds - good + BELOW_TOP)
+    middle, high = _quantiles(_worth(examiner, instances), weights, (0.5, HIGHER))
     count = weights.sum()
-    spread = (count * (middle - low) + KNOWN * KNOWN_SPREAD) / (count + KNOWN)
-    spread = max(spread, LEAST_SPREAD)
-    below = (middle - _worth(examiner, table)[:, residual]) / spread
+    spread = (count * (high - middle) + KNOWN * KNOWN_SPREAD) / (count + KNOWN)
+    below = (middle - _worth(examiner, table)) / max(spread, LEAST_SPREAD)
     parts = table.parts.copy()
-    parts[:, alike] = np.exp(-0.5 * np.clip(below - USUAL, 0.0, None) ** 2)
+    parts[:, PARTS.index("alike")] = np.exp(-0.5 * np.clip(below - USUAL, 0.0, None) ** 2)
     lost = examiner.log_odds(parts, table.model) - examiner.log_odds(table.parts, table.model)
     return replace(table, parts=parts, odds=table.odds + lost, alone=table.alone + lost)
 
 
 def _worth(examiner: Examiner, table: Hypotheses) -> F64:
-    """(S, len(PARTS)) logarithms of the parts beside those of right instances."""
-    return np.log(np.clip(table.parts / examiner.reference[table.model], 1e-9, None))
+    """(S,) logarithms of the residual parts beside those of right instances."""
+    residual = PARTS.index("residual")
+    expected = examiner.reference[table.model, residual]
+    return np.log(np.clip(table.parts[:, residual] / expected, 1e-9, None))
 
 
 def _quantiles(values: F64, weights: F64, at: tuple[float, ...]) -> list[float]:

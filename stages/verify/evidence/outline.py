@@ -166,7 +166,7 @@ def outline_evidence(grid, field, pose, gate):
         weight += observed[side] / max(whole[side], 1.0)
         if observed[side] >= max(0.5 * whole[side], 1.0):
             share[side] = drops[side] / observed[side]
-            level_share[side] = levels[side] / observed[side]
+            level_share[side] = levels[side] / whole[side]
     return Outline(
         drop / weight, seen / outline.shape[0], grounded,
         share[0], share[1], share[2], share[3],
