@@ -41,6 +41,9 @@ STAGE_S = 10
 FORMAT = "2"
 """Of stage files; part of every key, so that files of another format are made anew."""
 
+KEPT = 16
+"""Records of a topic: the tiles around a place, and those around the next one; a few megabytes each
+at most."""
 CHUNK_BYTES = 1 << 16
 """What a kill can cost: a chunk reaches the disk when it is full."""
 _FOOTER_BYTES = 1 + 8 + 20 + 8
@@ -233,7 +236,8 @@ def _metadata(path: Path, *_identity: int) -> dict[str, dict[str, str]]:
 class Messages(Sequence[T], Generic[T]):
     """The records of one topic in a complete file, decoded when they are asked for.
 
-    Can be pickled and sent to a worker that sees the same path.
+    The last ``KEPT`` that were asked for by number are kept: neighbouring tiles are read again and
+    again. Can be pickled and sent to a worker that sees the same path.
     """
 
     def __init__(self, path: Path, topic: Topic[T]) -> None:
@@ -245,6 +249,10 @@ class Messages(Sequence[T], Generic[T]):
             self._count = int(records.get(topic.name, "0"))
         except (KeyError, ValueError):
             raise DamagedFileError(f"{path.name} was not written by this version") from None
+        self._record = lru_cache(KEPT)(self._one)
+
+    def __reduce__(self) -> tuple[type[Messages[T]], tuple[Path, Topic[T]]]:
+        return type(self), (self.path, self.topic)
 
     def __len__(self) -> int:
         return self._count
@@ -259,10 +267,13 @@ class Messages(Sequence[T], Generic[T]):
         index = index + self._count if index < 0 else index
         if not 0 <= index < self._count:
             raise IndexError(index)
-        return next(self._read(index, index + 1))
+        return self._record(index)
 
     def __iter__(self) -> Iterator[T]:
         return self._read(0, self._count)
+
+    def _one(self, index: int) -> T:
+        return next(self._read(index, index + 1))
 
     def _read(self, begin: int, end: int) -> Iterator[T]:
         messages = _reader(self.path).iter_messages(

@@ -59,7 +59,7 @@ def verify_by_evidence(
         KnownObject(field, model.stretch, "above" if model.visible_from == "above" else "all")
         for field, model in zip(fields, candidates.models, strict=True)
     ]
-    clusters = list(candidates.clusters)
+    clusters = candidates.clusters
     places = np.array([cluster.position for cluster in clusters], np.float64)
     proposed = np.array([names.index(cluster.model) for cluster in clusters])
     search = Search(objects, sampling, candidates.cloud, places, proposed, threads)

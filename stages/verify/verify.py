@@ -90,7 +90,7 @@ class Verify:
         """Fit every candidate, then write traces, detections and the poses of the accepted."""
         upright = ctx.read_one(UPRIGHT)
         candidates = Candidates(
-            clusters=ctx.read(CLUSTERS),
+            clusters=list(ctx.read(CLUSTERS)),
             models=list(ctx.read(MODELS)),
             cloud=WorldCloud.of(ctx.read(CLOUD), ctx.read_one(TILES), upright),
             T_scene_world=inverse(world_from_scene(ctx.read_one(SCENE), upright)),
