@@ -53,8 +53,8 @@ def verify_by_evidence(
     if not candidates.clusters:
         return
     names = [model.name for model in candidates.models]
-    surfaces = [model_surface(model, rng) for model in candidates.models]
-    fields = map_threads(_field, list(zip(candidates.models, surfaces, strict=True)), threads)
+    seeded = list(zip(candidates.models, rng.spawn(len(names)), strict=True))
+    fields = map_threads(_field, seeded, threads)
     objects = [
         KnownObject(field, model.stretch, "above" if model.visible_from == "above" else "all")
         for field, model in zip(fields, candidates.models, strict=True)
@@ -78,10 +78,10 @@ def verify_by_evidence(
         )
 
 
-def _field(model: tuple[ObjectModel, tuple[F64, F64]]) -> ModelField:
-    known, (points, normals) = model
+def _field(seeded: tuple[ObjectModel, np.random.Generator]) -> ModelField:
+    model, rng = seeded
     try:
-        return build_model_field(known.name, points, normals)
+        return build_model_field(model.name, *model_surface(model, rng))
     except ValueError as error:  # flat, or nothing of it shows from above
         raise StageError(f"{error}; give another model, or [verify] method = 'trimmed'") from None
 

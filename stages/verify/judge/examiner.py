@@ -137,12 +137,12 @@ class Examiner:
                 scene, self.arrays[m], self.limits[m], place.top, self.starts[m]
             )
             pose = pose[gain > 0]
-            model = np.full(len(pose), m)
-            if len(pose):  # its like may fit where it does not
-                like = self._like(m, place.top)
-                start = np.repeat(pose[:1], len(like), axis=0)
-                pose, model = np.concatenate([pose, start]), np.concatenate([model, like])
-            return self._judged(block, scene, c, model, pose)
+            seen = self._judged(block, scene, c, np.full(len(pose), m), pose)
+            if len(pose) == 0 or seen.odds.max() >= 0.0:
+                return seen
+            like = self._like(m, place.top)  # they may fit where it does not
+            start = np.repeat(pose[:1], len(like), axis=0)
+            return Hypotheses.joined([seen, self._judged(block, scene, c, like, start)])
 
         return Hypotheses.joined(list(map_threads(look, range(len(places)), threads)))
 
