@@ -56,7 +56,9 @@ def verify_by_evidence(
     surfaces = [model_surface(model, rng) for model in candidates.models]
     fields = map_threads(_field, list(zip(candidates.models, surfaces, strict=True)), threads)
     objects = [
-        KnownObject(field, model.stretch, "above" if model.visible_from == "above" else "all")
+        KnownObject(
+            model.name, field, model.stretch, "above" if model.visible_from == "above" else "all"
+        )
         for field, model in zip(fields, candidates.models, strict=True)
     ]
     clusters = list(candidates.clusters)
