@@ -169,10 +169,15 @@ def _read_cameras(folder: Path) -> tuple[Cameras, tuple[Calibration, ...]] | Non
     if not found:
         return None
     wxyz = np.array([quaternion for _, quaternion, _, _, _ in found])
-    if not (np.isfinite(wxyz).all() and np.linalg.norm(wxyz, axis=1).min() > _LEAST_NORM):
+    moves = np.array([t for _, _, t, _, _ in found])
+    with np.errstate(over="ignore"):
+        norms = np.linalg.norm(wxyz, axis=1)
+    if not ((norms > _LEAST_NORM) & (norms < 1 / _LEAST_NORM)).all():  # NaN is neither
         raise _damaged(images, "a rotation is no rotation")
+    if not np.isfinite(moves).all():
+        raise _damaged(images, "a place is not finite")
     rotations = Rotation.from_quat(wxyz[:, [1, 2, 3, 0]]).as_matrix()
-    positions, quaternions = camera_poses(rotations, np.array([t for _, _, t, _, _ in found]))
+    positions, quaternions = camera_poses(rotations, moves)
     return Cameras(positions, quaternions, tuple(name for *_, name in found)), calibrations
 
 

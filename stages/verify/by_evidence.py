@@ -56,7 +56,9 @@ def verify_by_evidence(
     seeded = list(zip(candidates.models, rng.spawn(len(names)), strict=True))
     fields = map_threads(_field, seeded, threads)
     objects = [
-        KnownObject(field, model.stretch, "above" if model.visible_from == "above" else "all")
+        KnownObject(
+            model.name, field, model.stretch, "above" if model.visible_from == "above" else "all"
+        )
         for field, model in zip(fields, candidates.models, strict=True)
     ]
     clusters = candidates.clusters

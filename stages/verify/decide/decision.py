@@ -101,7 +101,7 @@ def _judge(
         reason = f"what stands there goes on beyond the {continuing} of the model"
     elif fate == "accepted" and alternative >= 0 and lead < rules.min_margin and known.rigid:
         fate, cause = "ambiguous", "type"
-        reason = f"{examiner.objects[alternative].field.name} scores only {lead:.3f} less"
+        reason = f"{examiner.objects[alternative].name} scores only {lead:.3f} less"
     if fate == "accepted" and margin < rules.min_margin:
         # an instance stands there all the same; the runner-up says how else it may be turned
         reason += f"; heading undecided, another one scores only {margin:.3f} less"

@@ -64,8 +64,8 @@ def gather_evidence(grid, body, field, pose, gate, sharp):
     ----------
     grid : CellGrid, all points around.
     body : Points, those of bodies near the candidate.
-    field : FieldArrays.
-    pose : (7,) float64.
+    field : ModelField.
+    pose : Pose.
     gate, sharp : see ``Tolerance``.
 
     Returns

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from spinpipe.stages.compiled import inner
 from spinpipe.stages.verify.evidence.scene import side_of
+from spinpipe.stages.verify.model.pose import to_scene
 from spinpipe.stages.verify.scene.cell_grid import points_of, window
 
 COLUMN_CELLS = 0.7
@@ -99,8 +99,8 @@ def outline_evidence(grid, field, pose, gate):
     Parameters
     ----------
     grid : CellGrid, ground included.
-    field : FieldArrays.
-    pose : (7,) float64.
+    field : ModelField.
+    pose : Pose.
     gate : how far outside to look, apart from the radius of the column, metres.
 
     Returns
@@ -115,10 +115,11 @@ def outline_evidence(grid, field, pose, gate):
     outline, normals = field.outline, field.outline_normals
     column_m = COLUMN_CELLS * grid.cell_m
     beyond_m = gate + column_m
-    apart_m = beyond_m + FAR * min(field.size[0] * pose[4], field.size[1] * pose[5]) / 2
-    height = field.size[2] * pose[6]
+    apart_m = (
+        beyond_m + FAR * min(field.size[0] * pose.stretch_x, field.size[1] * pose.stretch_y) / 2
+    )
+    height = field.size[2] * pose.stretch_z
     deep_m = max(gate, DEEP * height)
-    c, s = math.cos(pose[3]), math.sin(pose[3])
     drops = np.zeros(SIDES)
     levels = np.zeros(SIDES)
     observed = np.zeros(SIDES)
@@ -127,24 +128,19 @@ def outline_evidence(grid, field, pose, gate):
     deeper = 0
     tall = field.outline_height > TALL * field.size[2]
     for k in range(outline.shape[0]):
-        mx, my = outline[k, 0] * pose[4], outline[k, 1] * pose[5]
-        fx, fy = mx + normals[k, 0] * apart_m, my + normals[k, 1] * apart_m
-        around = _column(
-            grid, pose[0] + c * fx - s * fy, pose[1] + s * fx + c * fy, column_m, pose[2], height
-        )
+        mx, my = outline[k, 0] * pose.stretch_x, outline[k, 1] * pose.stretch_y
+        x, y = to_scene(pose, mx + normals[k, 0] * apart_m, my + normals[k, 1] * apart_m)
+        around = _column(grid, x, y, column_m, pose.z, height)
         if around.seen > 0 and around.level <= deep_m:
             if around.level >= -deep_m:
                 at_base += 1
             else:
                 deeper += 1
-        nx, ny = mx + normals[k, 0] * beyond_m, my + normals[k, 1] * beyond_m
         side = side_of(normals[k, 0], normals[k, 1], abs(normals[k, 0]), abs(normals[k, 1]))
         whole[side] += 1.0
-        inner_height = field.outline_height[k] * pose[6]
-        beside = _column(
-            grid, pose[0] + c * nx - s * ny, pose[1] + s * nx + c * ny, column_m, pose[2],
-            inner_height + beyond_m,
-        )  # fmt: skip
+        inner_height = field.outline_height[k] * pose.stretch_z
+        x, y = to_scene(pose, mx + normals[k, 0] * beyond_m, my + normals[k, 1] * beyond_m)
+        beside = _column(grid, x, y, column_m, pose.z, inner_height + beyond_m)
         if beside.seen > 0:
             drop = min(max((inner_height - beside.level) / inner_height, 0.0), 1.0)
             drops[side] += drop

@@ -9,6 +9,7 @@ import numpy as np
 
 from spinpipe.stages.compiled import inner
 from spinpipe.stages.verify.model.lookup import nearest_sample
+from spinpipe.stages.verify.model.pose import to_object
 
 
 class Claim(NamedTuple):
@@ -30,8 +31,8 @@ def scene_evidence(body, field, pose, gate, free):
     Parameters
     ----------
     body : Points.
-    field : FieldArrays.
-    pose : (7,) float64.
+    field : ModelField.
+    pose : Pose.
     gate : metres.
     free : (4,) bool, which of the sides front, left, back and right nothing touches.
 
@@ -40,16 +41,14 @@ def scene_evidence(body, field, pose, gate, free):
     Claim
     """
     (points, weights), surface = body, field.surface
-    c, s = math.cos(pose[3]), math.sin(pose[3])
-    sx, sy, sz = pose[4], pose[5], pose[6]
+    sx, sy, sz = pose.stretch_x, pose.stretch_y, pose.stretch_z
     half_x, half_y = field.size[0] / 2 * sx, field.size[1] / 2 * sy
     top = field.size[2] * sz
     claimed = 0.0
     explained = 0.0
     square_sum = 0.0
     for n in range(points.shape[0]):
-        dx, dy = points[n, 0] - pose[0], points[n, 1] - pose[1]
-        ux, uy, uz = c * dx + s * dy, c * dy - s * dx, points[n, 2] - pose[2]
+        ux, uy, uz = to_object(pose, points[n, 0], points[n, 1], points[n, 2])
         if uz > top + gate or 0.0 <= uz < 0.1 * top:
             continue  # wheels, feet and what the ground piles up against them
         out_x, out_y = abs(ux) - half_x, abs(uy) - half_y

@@ -8,6 +8,7 @@ from spinpipe.stages.compiled import inner
 from spinpipe.stages.verify.evidence.scene import side_of
 from spinpipe.stages.verify.evidence.surface import depth_at, enough_for_a_surface
 from spinpipe.stages.verify.model.lookup import signed_distance
+from spinpipe.stages.verify.model.pose import to_scene
 from spinpipe.stages.verify.scene.cell_grid import points_of, window
 
 LOW = 0.1
@@ -30,17 +31,14 @@ def side_evidence(grid, field, pose, gate, sharp, free):
     supported, contradicted : shares of the upright surface.
     """
     points, probes, normals, column_m = grid.points, field.sides, field.side_normals, grid.cell_m
-    c, s = math.cos(pose[3]), math.sin(pose[3])
     reach = max(gate, column_m)
     enough = enough_for_a_surface(grid)
     supported = 0.0
     contradicted = 0.0
-    low = LOW * field.size[2] * pose[6]
+    low = LOW * field.size[2] * pose.stretch_z
     for k in range(probes.shape[0]):
-        mx, my = probes[k, 0] * pose[4], probes[k, 1] * pose[5]
-        x = pose[0] + c * mx - s * my
-        y = pose[1] + s * mx + c * my
-        z = pose[2] + probes[k, 2] * pose[6]
+        x, y = to_scene(pose, probes[k, 0] * pose.stretch_x, probes[k, 1] * pose.stretch_y)
+        z = pose.z + probes[k, 2] * pose.stretch_z
         at = 0
         below = 0
         above = 0
@@ -53,13 +51,13 @@ def side_evidence(grid, field, pose, gate, sharp, free):
                 flat2 = dx * dx + dy * dy
                 if flat2 + dz * dz <= reach * reach:
                     at += 1
-                    if points[n, 2] - pose[2] > low:
+                    if points[n, 2] - pose.z > low:
                         standing += 1
-                        offset += signed_distance(field, pose, c, s, points[n])
+                        offset += signed_distance(field, pose, points[n])
                 elif flat2 <= column_m * column_m:
                     if dz > 0.0:
                         above += 1
-                    elif depth_at(field, pose, c, s, points[n, 0], points[n, 1]) > sharp:
+                    elif depth_at(field, pose, points[n, 0], points[n, 1]) > sharp:
                         below += 1
         if at > 0:
             side = side_of(normals[k, 0], normals[k, 1], abs(normals[k, 0]), abs(normals[k, 1]))

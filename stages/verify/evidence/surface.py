@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from spinpipe.stages.compiled import inner
 from spinpipe.stages.verify.model.lookup import inside_depth, signed_distance
+from spinpipe.stages.verify.model.pose import to_object, to_scene
 from spinpipe.stages.verify.scene.cell_grid import points_of, window
 
 
@@ -27,10 +28,10 @@ def enough_for_a_surface(grid):
 
 
 @inner
-def depth_at(field, pose, c, s, x, y):
-    """How far inside the outline of the model at a pose a place of the world lies, metres."""
-    dx, dy = x - pose[0], y - pose[1]
-    return inside_depth(field, (c * dx + s * dy) / pose[4], (c * dy - s * dx) / pose[5])
+def depth_at(field, pose, x, y):
+    """How far inside the outline of the model at a pose a place of the scene lies, metres."""
+    ux, uy, _ = to_object(pose, x, y, 0.0)
+    return inside_depth(field, ux / pose.stretch_x, uy / pose.stretch_y)
 
 
 @inner
@@ -42,8 +43,8 @@ def surface_evidence(grid, field, pose, gate, sharp):
     Parameters
     ----------
     grid : CellGrid, ground included.
-    field : FieldArrays.
-    pose : (7,) float64.
+    field : ModelField.
+    pose : Pose.
     gate : how far a point may lie from the model's surface, noise included, metres.
     sharp : how far the surface itself may lie from it, metres: the mean of n points may lie
         sqrt(sharp^2 + (gate^2 - sharp^2) / n) away.
@@ -55,7 +56,6 @@ def surface_evidence(grid, field, pose, gate, sharp):
     points, samples, normals, seen_weight = (
         grid.points, field.probes, field.probe_normals, field.seen_weight
     )  # fmt: skip
-    c, s = math.cos(pose[3]), math.sin(pose[3])
     supported = 0.0
     contradicted = 0.0
     empty = 0.0
@@ -66,10 +66,8 @@ def surface_evidence(grid, field, pose, gate, sharp):
     for k in range(samples.shape[0]):
         if seen_weight[k] <= 0.0:
             continue
-        mx, my = samples[k, 0] * pose[4], samples[k, 1] * pose[5]
-        x = pose[0] + c * mx - s * my
-        y = pose[1] + s * mx + c * my
-        z = pose[2] + samples[k, 2] * pose[6]
+        x, y = to_scene(pose, samples[k, 0] * pose.stretch_x, samples[k, 1] * pose.stretch_y)
+        z = pose.z + samples[k, 2] * pose.stretch_z
         # on a slope the surface within the column spans more height
         nz = max(normals[k, 2], 0.3)
         slope = math.sqrt(1.0 - nz * nz) / nz
@@ -87,10 +85,10 @@ def surface_evidence(grid, field, pose, gate, sharp):
                 dz = points[n, 2] - z
                 if abs(dz) <= band + 0.5 * slope * column_m:
                     at += 1
-                    offset += signed_distance(field, pose, c, s, points[n])
+                    offset += signed_distance(field, pose, points[n])
                 elif dz < 0.0:
                     # what lies beside the body is no sight through it
-                    if depth_at(field, pose, c, s, points[n, 0], points[n, 1]) > 0.5 * sharp:
+                    if depth_at(field, pose, points[n, 0], points[n, 1]) > 0.5 * sharp:
                         below += 1
                 else:
                     above += 1

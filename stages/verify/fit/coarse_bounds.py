@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spinpipe.stages.compiled import inner
-from spinpipe.stages.verify.model.lookup import FieldArrays
+from spinpipe.stages.verify.model.field import ModelField
 
 SLACK = 1.0001
 """Above the rounding of float32 sums over a few hundred points."""
@@ -63,7 +63,7 @@ def offset_steps(field, limits):
     return int(math.ceil(reach_x / limits.step_m)), int(math.ceil(reach_y / limits.step_m))
 
 
-def has_long_top(field: FieldArrays) -> bool:
+def has_long_top(field: ModelField) -> bool:
     """Whether a candidate may lie anywhere along the top of a model."""
     narrow = min(field.size[0], field.size[1]) / 2
     return bool(field.top_half.max() > LONG_TOP * narrow)

@@ -9,21 +9,22 @@ from numba import njit
 
 from spinpipe.stages.compiled import inner
 from spinpipe.stages.verify.fit.coarse_bounds import gain, gain_bounds, offset_steps, search_reach
-from spinpipe.stages.verify.model.lookup import POSE, nearest_sample
+from spinpipe.stages.verify.model.lookup import nearest_sample
+from spinpipe.stages.verify.model.pose import POSE, pose_of, to_object
 from spinpipe.stages.verify.scene.candidate_points import TOO_FEW, cut_out
 
 COARSE_POINTS = 400
 
 
 @njit(nogil=True, error_model="numpy")
-def coarse_fit(body, ground, field, pose, gate, enough):
+def coarse_fit(body, ground, field, pose_row, gate, enough):
     """How purely a pose explains what it claims, for comparing poses of a coarse search.
 
     Parameters
     ----------
     body, ground : Points.
-    field : FieldArrays.
-    pose : (7,) float64.
+    field : ModelField.
+    pose_row : (7,) float64.
     gate : residual at which a point stops being explained, metres.
     enough : weight of explained points that is convincing in itself.
 
@@ -34,8 +35,8 @@ def coarse_fit(body, ground, field, pose, gate, enough):
         the weight of unexplained points in the bounding box and of ground seen where the model
         would hide it. A sparsely sampled object fits as well as a dense one.
     """
-    c, s = math.cos(pose[3]), math.sin(pose[3])
-    sx, sy, sz = pose[4], pose[5], pose[6]
+    pose = pose_of(pose_row)
+    sx, sy, sz = pose.stretch_x, pose.stretch_y, pose.stretch_z
     half_x, half_y = field.size[0] / 2 * sx, field.size[1] / 2 * sy
     top = field.size[2] * sz
     origin, inv, footprint = field.origin, 1.0 / field.voxel_m, field.footprint
@@ -45,8 +46,7 @@ def coarse_fit(body, ground, field, pose, gate, enough):
     unexplained = 0.0
     points, weights = body.xyz, body.weights
     for n in range(points.shape[0]):
-        dx, dy = points[n, 0] - pose[0], points[n, 1] - pose[1]
-        ux, uy, uz = c * dx + s * dy, c * dy - s * dx, points[n, 2] - pose[2]
+        ux, uy, uz = to_object(pose, points[n, 0], points[n, 1], points[n, 2])
         k = nearest_sample(field, ux / sx, uy / sy, uz / sz)
         if k < 0:
             continue
@@ -58,9 +58,9 @@ def coarse_fit(body, ground, field, pose, gate, enough):
             unexplained += weights[n]
     points, weights = ground.xyz, ground.weights
     for n in range(points.shape[0]):
-        dx, dy = points[n, 0] - pose[0], points[n, 1] - pose[1]
-        i = int(math.floor(((c * dx + s * dy) / sx - origin[0]) * inv))
-        j = int(math.floor(((c * dy - s * dx) / sy - origin[1]) * inv))
+        ux, uy, _ = to_object(pose, points[n, 0], points[n, 1], 0.0)
+        i = int(math.floor((ux / sx - origin[0]) * inv))
+        j = int(math.floor((uy / sy - origin[1]) * inv))
         if 0 <= i < footprint.shape[0] and 0 <= j < footprint.shape[1] and footprint[i, j]:
             unexplained += weights[n]
     return gain(explained, unexplained, enough)
@@ -76,7 +76,7 @@ def coarse_search(scene, field, limits, top, poses, gains):
     Parameters
     ----------
     scene : CellGrid, in the frame of the support: the candidate is at x = y = 0.
-    field : FieldArrays.
+    field : ModelField.
     limits : Tolerance.
     top : height of the candidate above its support, metres.
     """
@@ -89,8 +89,8 @@ def coarse_search(scene, field, limits, top, poses, gains):
     # a tenth of the footprint, in cells of equal surface
     enough = 0.1 * field.size[0] * field.size[1] / (scene.cell_m * scene.cell_m)
     bounds = np.empty(tried.shape[0])
-    base, tall = tried[0, 2], tried[0, 6]
-    gain_bounds(body, ground, field, limits, base, tall, enough, bounds)
+    first = pose_of(tried[0])
+    gain_bounds(body, ground, field, limits, first.z, first.stretch_z, enough, bounds)
     # best first: the pose found is the one that an exhaustive search would find
     order = np.argsort(-bounds)
     open_gains = np.zeros(tried.shape[0])
@@ -158,9 +158,11 @@ def poses_to_try(field, limits, top):
 @inner
 def is_distinct(pose, others, limits):
     """Whether a pose is more than a step or a heading away from all others."""
+    one = pose_of(pose)
     for k in range(others.shape[0]):
-        turn = abs((pose[3] - others[k, 3] + math.pi) % (2 * math.pi) - math.pi)
-        shift = math.hypot(pose[0] - others[k, 0], pose[1] - others[k, 1])
+        other = pose_of(others[k])
+        turn = abs((one.yaw - other.yaw + math.pi) % (2 * math.pi) - math.pi)
+        shift = math.hypot(one.x - other.x, one.y - other.y)
         if turn < 2.1 * math.pi / limits.headings and shift < 2.5 * limits.step_m:
             return False
     return True

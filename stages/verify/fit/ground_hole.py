@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from spinpipe.stages.compiled import inner
 from spinpipe.stages.verify.model.lookup import inside_depth
+from spinpipe.stages.verify.model.pose import to_object
 
 
 @inner
@@ -18,13 +17,11 @@ def hides_ground(ground, field, pose, inset):
     next to no points itself; near 0 the scene shows what is below things too.
     """
     area_inside, area_outside = _areas(field, inset)
-    c, s = math.cos(pose[3]), math.sin(pose[3])
     inside = 0.0
     outside = 0.0
     for n in range(ground.xyz.shape[0]):
-        dx, dy = ground.xyz[n, 0] - pose[0], ground.xyz[n, 1] - pose[1]
-        ux, uy = (c * dx + s * dy) / pose[4], (c * dy - s * dx) / pose[5]
-        depth = inside_depth(field, ux, uy)
+        ux, uy, _ = to_object(pose, ground.xyz[n, 0], ground.xyz[n, 1], 0.0)
+        depth = inside_depth(field, ux / pose.stretch_x, uy / pose.stretch_y)
         if depth > inset:
             inside += ground.weights[n]
         elif depth < 0.0 and depth > -np.inf:

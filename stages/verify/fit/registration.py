@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from spinpipe.stages.compiled import inner
 from spinpipe.stages.verify.fit.ground_hole import hides_ground
-from spinpipe.stages.verify.model.lookup import POSE, nearest_edge, nearest_sample
+from spinpipe.stages.verify.model.lookup import nearest_edge, nearest_sample
+from spinpipe.stages.verify.model.pose import POSE, pose_of, to_object
 
 STEPS = 12
 """Iterations at one gate, at most."""
@@ -46,7 +47,7 @@ def refine(body, ground, field, start, gates, stretch, base, course):
     ----------
     body, ground : Points. Ground seen inside the footprint pushes the footprint off itself, as far
         as the body hides the ground at all.
-    field : FieldArrays.
+    field : ModelField.
     start : (7,) float64.
     gates : (G,) float64, residual gates of the passes, metres.
     stretch : largest relative stretch per axis, 0 for a rigid model.
@@ -68,21 +69,22 @@ def refine(body, ground, field, start, gates, stretch, base, course):
     steps = 0
     for gate in gates:
         inset = 0.5 * gates[-1]
-        hides = hides_ground(ground, field, pose, gate + inset)
+        hides = hides_ground(ground, field, pose_of(pose), gate + inset)
         for _ in range(STEPS):
             if steps < course.shape[0]:
                 course[steps] = pose
-            count, total = _add_body(residuals, body, field, pose, gate)
+            at = pose_of(pose)
+            count, total = _add_body(residuals, body, field, at, gate)
             if total <= 0.0:
                 return pose, False, steps
             if hides >= 0.5:
-                count = _add_ground(residuals, count, ground, field, pose, gate, inset, hides)
+                count = _add_ground(residuals, count, ground, field, at, gate, inset, hides)
             _sum_up(residuals, count, A, b)
-            _add_priors(A, b, pose, total, gate, field.reach, stretch, base)
+            _add_priors(A, b, pose, total, gate, field.outermost_m, stretch, base)
             step = np.linalg.solve(A, b)
             # no step beyond the gate: the correspondences would be others
             moved = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
-            moved = max(moved, abs(step[3]) * field.reach)
+            moved = max(moved, abs(step[3]) * field.outermost_m)
             shrink = min(1.0, gate / moved) if moved > 0.0 else 1.0
             for i in range(dof):
                 pose[i] += shrink * step[i]
@@ -102,13 +104,12 @@ def _add_body(residuals, body, field, pose, gate):
     surface = field.surface
     points, weights = body
     inv_gate2 = 1.0 / (gate * gate)
-    c, s = math.cos(pose[3]), math.sin(pose[3])
-    sx, sy, sz = pose[4], pose[5], pose[6]
+    c, s = pose.cos, pose.sin
+    sx, sy, sz = pose.stretch_x, pose.stretch_y, pose.stretch_z
     count = 0
     total = 0.0
     for n in range(points.shape[0]):
-        dx, dy = points[n, 0] - pose[0], points[n, 1] - pose[1]
-        ux, uy, uz = c * dx + s * dy, c * dy - s * dx, points[n, 2] - pose[2]
+        ux, uy, uz = to_object(pose, points[n, 0], points[n, 1], points[n, 2])
         k = nearest_sample(field, ux / sx, uy / sy, uz / sz)
         if k < 0:
             continue
@@ -141,11 +142,10 @@ def _add_ground(residuals, count, ground, field, pose, gate, inset, hides):
     """How far ground lies inside the nearest edge of the footprint; returns how many there are."""
     edges = field.edges
     inv_gate2 = 1.0 / (gate * gate)
-    c, s = math.cos(pose[3]), math.sin(pose[3])
-    sx, sy = pose[4], pose[5]
+    c, s = pose.cos, pose.sin
+    sx, sy = pose.stretch_x, pose.stretch_y
     for n in range(ground.xyz.shape[0]):
-        dx, dy = ground.xyz[n, 0] - pose[0], ground.xyz[n, 1] - pose[1]
-        ux, uy = c * dx + s * dy, c * dy - s * dx
+        ux, uy, _ = to_object(pose, ground.xyz[n, 0], ground.xyz[n, 1], 0.0)
         e = nearest_edge(field, ux / sx, uy / sy)
         if e < 0:
             continue

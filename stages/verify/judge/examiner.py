@@ -39,7 +39,6 @@ from spinpipe.stages.verify.judge.resolve import resolve
 from spinpipe.stages.verify.judge.scoring import PARTS, log_odds, merits, score_parts
 from spinpipe.stages.verify.judge.tolerance import Tolerance, shell_share, tolerance
 from spinpipe.stages.verify.model.known_object import KnownObject
-from spinpipe.stages.verify.model.lookup import field_arrays
 from spinpipe.stages.verify.scene.cell_grid import CellGrid, grid_of
 
 STARTS = 3
@@ -84,7 +83,7 @@ class Examiner:
         self.objects = tuple(objects)
         self.sampling = sampling
         self.error_m = tuple(error_m)
-        self.arrays = tuple(field_arrays(o.field) for o in objects)
+        self.fields = tuple(o.field for o in objects)
         self.limits: tuple[Tolerance, ...] = tuple(
             tolerance(o.field, o.stretch, sampling, error)
             for o, error in zip(objects, error_m, strict=True)
@@ -100,12 +99,12 @@ class Examiner:
         self.expected = tuple(r.points for r in right)
         self.stretch = np.array([o.stretch for o in objects])
         self.height_m = np.array([o.field.size[2] for o in objects])
-        self.top_m = np.array([a.top_level for a in self.arrays])
-        self.starts = tuple(STARTS * (2 if has_long_top(a) else 1) for a in self.arrays)
+        self.top_m = np.array([f.top_level for f in self.fields])
+        self.starts = tuple(STARTS * (2 if has_long_top(f) else 1) for f in self.fields)
         self.support_reach_m = reach_of(max(o.field.reach_m * (1 + o.stretch) for o in objects))
 
         self.scene_m: tuple[float, ...] = tuple(
-            reach(a, t) + 2 * t.coarse_gate_m for a, t in zip(self.arrays, self.limits, strict=True)
+            reach(f, t) + 2 * t.coarse_gate_m for f, t in zip(self.fields, self.limits, strict=True)
         )
         """How far from a candidate the points of each model and of what touches it lie."""
 
@@ -134,7 +133,7 @@ class Examiner:
             place, m = block.places[c], int(proposed[c])
             scene = place.scene(block.grid, self.scene_m[m])
             pose, gain = coarse_poses(
-                scene, self.arrays[m], self.limits[m], place.top, self.starts[m]
+                scene, self.fields[m], self.limits[m], place.top, self.starts[m]
             )
             pose = pose[gain > 0]
             seen = self._judged(block, scene, c, np.full(len(pose), m), pose)
@@ -251,7 +250,7 @@ class Examiner:
         for m in np.unique(model).tolist():
             rows = np.flatnonzero(model == m)
             limits = self.limits[m]
-            pose[rows], found = refine_poses(scene, self.arrays[m], limits, start[rows])
+            pose[rows], found = refine_poses(scene, self.fields[m], limits, start[rows])
             evidence = np.zeros((len(start), found.shape[1])) if evidence is None else evidence
             evidence[rows] = found
             above = pose[rows, 2] if block.found[candidate] else np.full(len(rows), np.inf)
@@ -289,7 +288,7 @@ class Examiner:
             place = block.places[c]
             scene = place.scene(block.grid, max(self.scene_m))
             start = place.from_world(table.start[[k]])[0]
-            way = course_of(scene, self.arrays[m], self.limits[m], start)
+            way = course_of(scene, self.fields[m], self.limits[m], start)
             courses.setdefault(c, []).append(Course(place.to_world(way.poses), way.rms_m))
         return courses
 

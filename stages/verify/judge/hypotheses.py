@@ -18,7 +18,8 @@ from spinpipe.stages.verify.evidence.gather import EVIDENCE
 from spinpipe.stages.verify.fit.registration import PASSES, STEPS
 from spinpipe.stages.verify.judge.kernels import coarse_fits, course, local_scene, refined
 from spinpipe.stages.verify.judge.tolerance import Tolerance
-from spinpipe.stages.verify.model.lookup import POSE, FieldArrays
+from spinpipe.stages.verify.model.field import ModelField
+from spinpipe.stages.verify.model.pose import POSE
 from spinpipe.stages.verify.scene.cell_grid import CellGrid
 
 
@@ -55,7 +56,7 @@ class Place(NamedTuple):
 
 
 def coarse_poses(
-    scene: CellGrid, model: FieldArrays, limits: Tolerance, top: float, keep: int
+    scene: CellGrid, model: ModelField, limits: Tolerance, top: float, keep: int
 ) -> tuple[F64, F64]:
     """The best distinct coarse poses of a model at a candidate.
 
@@ -76,7 +77,7 @@ def coarse_poses(
 
 
 def refine_poses(
-    scene: CellGrid, model: FieldArrays, limits: Tolerance, starts: F64
+    scene: CellGrid, model: ModelField, limits: Tolerance, starts: F64
 ) -> tuple[F64, F64]:
     """Register the model from each start (S, 7) to convergence and gather the evidence there.
 
@@ -98,7 +99,7 @@ class Course:
     rms_m: F64
 
 
-def course_of(scene: CellGrid, model: FieldArrays, limits: Tolerance, start: F64) -> Course:
+def course_of(scene: CellGrid, model: ModelField, limits: Tolerance, start: F64) -> Course:
     """The way of ``refine_poses`` from one start (7,)."""
     poses, rms_m = np.empty((PASSES * STEPS + 1, POSE)), np.empty(PASSES * STEPS + 1)
     count = course(scene, model, limits, start, poses, rms_m)

@@ -12,7 +12,7 @@ from scipy.special import expit
 from spinpipe.schemas.arrays import F64, I64
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
 from spinpipe.stages.verify.judge.scoring import PARTS
-from spinpipe.stages.verify.model.lookup import POSE
+from spinpipe.stages.verify.model.pose import POSE
 
 
 @dataclass(frozen=True, eq=False)

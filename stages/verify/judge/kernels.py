@@ -16,7 +16,8 @@ from spinpipe.stages.verify.evidence.scene import root_mean_square, scene_eviden
 from spinpipe.stages.verify.fit.coarse_bounds import search_reach
 from spinpipe.stages.verify.fit.coarse_search import coarse_search
 from spinpipe.stages.verify.fit.registration import Base, refine
-from spinpipe.stages.verify.model.lookup import POSE, half_diagonal
+from spinpipe.stages.verify.model.lookup import half_diagonal
+from spinpipe.stages.verify.model.pose import POSE, pose_of
 from spinpipe.stages.verify.scene.candidate_points import TOO_FEW, cut_out
 from spinpipe.stages.verify.scene.cell_grid import seen_from
 
@@ -74,7 +75,8 @@ def _kernels(sources: str):
                 body, ground, field, poses[c], gates, limits.stretch, base, no_course
             )
             poses[c] = pose
-            found = gather_evidence(scene, body, field, pose, limits.gate_m, limits.sharp_m)
+            at = pose_of(pose)
+            found = gather_evidence(scene, body, field, at, limits.gate_m, limits.sharp_m)
             for k in range(len(found)):
                 evidence[c, k] = found[k]
 
@@ -96,7 +98,7 @@ def _kernels(sources: str):
         free = np.ones(4, np.bool_)
         course[count - 1] = pose
         for k in range(count):
-            claim = scene_evidence(body, field, course[k], limits.gate_m, free)
+            claim = scene_evidence(body, field, pose_of(course[k]), limits.gate_m, free)
             rms_m[k] = root_mean_square(claim)
         return count
 

@@ -20,7 +20,7 @@ from spinpipe.stages.verify.judge.hypotheses import Place, refine_poses
 from spinpipe.stages.verify.judge.scoring import score_parts
 from spinpipe.stages.verify.judge.tolerance import Tolerance
 from spinpipe.stages.verify.model.field import ModelField
-from spinpipe.stages.verify.model.lookup import POSE, field_arrays
+from spinpipe.stages.verify.model.pose import POSE
 from spinpipe.stages.verify.scene.cell_grid import grid_of
 
 INSTANCES = 6
@@ -58,7 +58,6 @@ def right_instance(
     if each > MOST_POINTS:
         half_m = max(math.sqrt(MOST_POINTS / sampling.density) / 2, 1.2 * field.reach_m)
     count = int(np.clip(MOST_POINTS // max(each, 1.0), 1, INSTANCES))
-    arrays = field_arrays(field)
     parts, explained = [], []
     for _ in range(count):
         pose = np.ones((1, POSE))
@@ -67,7 +66,7 @@ def right_instance(
         points = _instance(field, sampling, error_m, half_m, float(pose[0, 3]), rng)
         place = Place(np.zeros(3), np.zeros(2), float(field.size[2]))
         scene = place.scene(grid_of(points, sampling), 1.5 * half_m)
-        fitted, evidence = refine_poses(scene, arrays, limits, pose)
+        fitted, evidence = refine_poses(scene, field, limits, pose)
         height = field.size[2] * fitted[:, 6]
         parts.append(score_parts(evidence, limits, shell_share, 0.0, fitted[:, 2], height)[0])
         explained.append(evidence[0, EVIDENCE.index("explained")])

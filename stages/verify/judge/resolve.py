@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
+from spinpipe.schemas.arrays import F64, I64
 
 MAX_OVERLAP = 0.25
 """Share of the smaller body that two instances may have in common: fits are not exact."""

@@ -8,14 +8,14 @@ sets, section 4].
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from spinpipe.schemas.arrays import F64
+from spinpipe.stages.geometry.model_surface import top_of
 from spinpipe.stages.verify.model.outline import hull_edges, outline_points
 from spinpipe.stages.verify.model.sight import open_air, reached, turned_outward
 
@@ -23,57 +23,66 @@ NEXT_TO_NOTHING = 0.1
 """Share of a surface that does not tell one heading from another."""
 
 
-@dataclass(frozen=True)
-class ModelField:
-    """A rigid model in its object frame, ready to be looked up.
+class ModelField(NamedTuple):
+    """A rigid model in its object frame, ready to be looked up, by kernels too.
 
     Attributes
     ----------
-    name : the model's name.
     samples : (S, 3) float64, surface samples, evenly spread, metres.
-    normals : (S, 3) float64, unit, outward.
-    probes : (V,) int64, an even choice of the samples that are visible from above.
+    surface : (S, 8) float64, samples and outward unit normals in one row: one look at memory gives
+        both.
+    outermost_m : horizontal distance of the outermost sample from the base centre.
+    probes, probe_normals : (V, 3) float64, an even choice of the samples that are visible from
+        above.
     seen_weight : (V,) float64, share of the visible area, as projected, that each stands for.
-    side_probes : (W,) int64, an even choice of the samples on upright surfaces.
+    sides, side_normals : (W, 3) float64, an even choice of the samples on upright surfaces.
     size : (3,) float64, extent of the bounding box; its base centre is the origin.
+    top, top_half : (2,) float64, middle and half extents of the top, on which a spin image's origin
+        may be; top_level is its height.
     origin, voxel_m : corner and pitch of the grid.
+    resolution_m : distance below which the field tells no two surfaces apart.
     nearest : (nx, ny, nz) int32, index of the sample nearest to each voxel's centre.
     clearance : (nx, ny, nz) float32, square metres: no point of a voxel is nearer than its root to
         any sample; negative in voxels wholly inside the bounding box.
-    solid : (nx, ny, nz) bool, voxels inside the body: no ray from above reaches them.
     footprint : (nx, ny) bool, columns whose ground the body hides from above.
     edges : (E, 4) float64, edges of the convex hull of the footprint: a point on each, (x, y), and
         its outward unit normal.
     depth_edge : (nx, ny) int32, the edge that each column is nearest to from inside.
+    depths : (nx * ny,) float64, ascending, how far inside the outline the columns' middles lie.
     outline : (P, 2) float64, points along the convex hull of the footprint, evenly spaced.
     outline_normals : (P, 2) float64, unit, outward.
     outline_height : (P,) float64, how high the model is just inside each of them, metres.
     """
 
-    name: str
-    samples: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    probes: NDArray[np.int64]
-    seen_weight: NDArray[np.float64]
-    side_probes: NDArray[np.int64]
-    size: NDArray[np.float64]
-    origin: NDArray[np.float64]
+    samples: F64
+    surface: F64
+    outermost_m: float
+    probes: F64
+    probe_normals: F64
+    seen_weight: F64
+    sides: F64
+    side_normals: F64
+    size: F64
+    top: F64
+    top_half: F64
+    top_level: float
+    origin: F64
     voxel_m: float
+    resolution_m: float
     nearest: NDArray[np.int32]
     clearance: NDArray[np.float32]
-    solid: NDArray[np.bool_]
     footprint: NDArray[np.bool_]
-    edges: NDArray[np.float64]
+    edges: F64
     depth_edge: NDArray[np.int32]
-    outline: NDArray[np.float64]
-    outline_normals: NDArray[np.float64]
-    outline_height: NDArray[np.float64]
+    depths: F64
+    outline: F64
+    outline_normals: F64
+    outline_height: F64
 
-    @cached_property
-    def resolution_m(self) -> float:
-        """Distance below which the field tells no two surfaces apart."""
-        neighbour = KDTree(self.samples).query(self.samples, k=2)[0][:, 1]
-        return float(0.6 * np.hypot(np.median(neighbour), self.voxel_m))
+    @property
+    def normals(self) -> F64:
+        """(S, 3) of the samples."""
+        return self.surface[:, 3:6]
 
     @property
     def narrow_m(self) -> float:
@@ -152,7 +161,6 @@ def build_model_field(
     cell = np.floor((points - origin) / voxel).astype(int)
     surface[cell[:, 0], cell[:, 1], cell[:, 2]] = True
     air, seen_steep = open_air(surface)
-    solid = ~air & ~surface
     samples, outward = points[kept], normals[kept]
     outward = turned_outward(samples, outward, air, origin, voxel)
     # the voxel of the sample itself: a step away may be the other side of a thin plate
@@ -170,29 +178,48 @@ def build_model_field(
     flat = centres[:, :, 0, :2]
     middle = origin[:2] + (flat + 0.5) * voxel
     depth = ((edges[:, :2] - middle[:, :, None]) * edges[:, 2:]).sum(axis=-1)
+    depth_edge = depth.argmin(axis=-1).astype(np.int32)
     base = int(np.floor((0.05 * size[2] - origin[2]) / voxel))
     outline, outline_normals = outline_points(samples[:, :2], spacing=float(size[:2].min()) / 8)
     near = KDTree(samples[:, :2]).query_ball_point(outline, r=float(size[:2].min()) / 2)
+    side = sides[_spread_evenly(samples[sides], probes)]
+    level = samples[top_of(samples)]
+    top = level[:, :2]
     return ModelField(
-        name=name,
         samples=samples,
-        normals=outward,
-        probes=probe,
-        side_probes=sides[_spread_evenly(samples[sides], probes)],
+        surface=np.column_stack([samples, outward, np.zeros((len(samples), 2))]),
+        outermost_m=math.sqrt((samples[:, 0] ** 2 + samples[:, 1] ** 2).max()),
+        probes=samples[probe],
+        probe_normals=outward[probe],
         seen_weight=weight / weight.sum(),
+        sides=samples[side],
+        side_normals=outward[side],
         size=size,
+        top=(top.min(axis=0) + top.max(axis=0)) / 2,
+        top_half=np.ptp(top, axis=0) / 2,
+        top_level=float(np.median(level[:, 2])),
         origin=origin,
         voxel_m=voxel,
+        resolution_m=float(0.6 * np.hypot(spacing, voxel)),
         nearest=nearest.reshape(shape).astype(np.int32),
         clearance=_clearance(distance.reshape(shape), size, origin, voxel),
-        solid=solid,
         footprint=~air[:, :, base] | surface[:, :, base],
         edges=edges,
-        depth_edge=depth.argmin(axis=-1).astype(np.int32),
+        depth_edge=depth_edge,
+        depths=_depths(edges[depth_edge], origin, voxel),
         outline=outline,
         outline_normals=outline_normals,
         outline_height=np.array([samples[k, 2].max() for k in near]),
     )
+
+
+def _depths(edge: F64, origin: F64, voxel: float) -> F64:
+    """How far the middles of columns lie inside the edge (nx, ny, 4) that each is nearest to."""
+    nx, ny, _ = edge.shape
+    x = origin[0] + (np.arange(nx)[:, None] + 0.5) * voxel
+    y = origin[1] + (np.arange(ny) + 0.5) * voxel
+    px, py, normal_x, normal_y = np.moveaxis(edge, -1, 0)
+    return np.sort((normal_x * (px - x) + normal_y * (py - y)).ravel())
 
 
 def _clearance(

@@ -15,6 +15,7 @@ LOOSE = 0.1
 class KnownObject:
     """A model to look for, and what is known of its instances."""
 
+    name: str
     field: ModelField
     stretch: float = 0.0
     visible_from: Literal["all", "above"] = "all"

@@ -414,3 +414,14 @@ def test_a_georegistered_colmap_model_is_said_to_be_one(
     said = open_scene(tmp_path).about.coordinates
     assert (said.name, said.metres) == (name, (1.0, 1.0, 1.0) if name else None)
     assert said.geocentric == ("earth" in name)
+
+
+@pytest.mark.parametrize(
+    "pose", ["0 0 0 0 0 0 0", "1e200 0 0 0 0 0 0", "nan 0 0 0 0 0 0", "1 0 0 0 inf 0 0"]
+)
+def test_a_pose_that_is_none_is_told(tmp_path: Path, pose: str) -> None:
+    (tmp_path / "points3D.txt").write_text("1 0 0 0 9 8 7 0.5\n")
+    (tmp_path / "cameras.txt").write_text("1 PINHOLE 64 48 50 50 32 24\n")
+    (tmp_path / "images.txt").write_text(f"1 {pose} 1 a.jpg\n\n")
+    with pytest.raises(StageError, match=r"images.txt: .*(rotation|place)"):
+        open_scene(tmp_path)

@@ -16,7 +16,7 @@ from spinpipe.stages.verify.model.known_object import KnownObject
 def known_object(name, mesh, stretch=0.0, visible_from="all"):
     """A model, sampled on its whole surface."""
     points, normals = sample_surface(*mesh, 40_000, np.random.default_rng(0))
-    return KnownObject(build_model_field(name, points, normals), stretch, visible_from)
+    return KnownObject(name, build_model_field(name, points, normals), stretch, visible_from)
 
 
 def cloud_of(items, extent, density, noise=0.0, seed=1):

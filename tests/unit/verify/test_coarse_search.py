@@ -11,7 +11,6 @@ from spinpipe.stages.verify.judge import kernels
 from spinpipe.stages.verify.judge.hypotheses import Place, coarse_poses
 from spinpipe.stages.verify.judge.tolerance import tolerance
 from spinpipe.stages.verify.model.field import build_model_field
-from spinpipe.stages.verify.model.lookup import field_arrays
 from spinpipe.stages.verify.scene.cell_grid import grid_of
 
 SAMPLING = Sampling(0.1, 0.02)
@@ -39,12 +38,11 @@ def test_bounds_leave_out_only_what_is_not_among_the_best(scene, kind, stretch):
     field = build_model_field(kind, points, normals)
     limits = tolerance(field, stretch, SAMPLING, 0.03)
     places = np.array([[0.2, 0.1, 1.4], [2.3, 1.2, 1.9], [5, 5, 1.2]])
-    arrays = field_arrays(field)
     for x, y, top in places:
         place = Place(np.array([x, y, 0.0]), np.zeros(2), top)
-        around = place.scene(scene, kernels.reach(arrays, limits) + 1.0)
-        poses, gains = coarse_poses(around, arrays, limits, top, KEEP)
-        expected_poses, expected_gains = twins.coarse_poses(around, arrays, limits, top, KEEP)
+        around = place.scene(scene, kernels.reach(field, limits) + 1.0)
+        poses, gains = coarse_poses(around, field, limits, top, KEEP)
+        expected_poses, expected_gains = twins.coarse_poses(around, field, limits, top, KEEP)
         found = gains > 0
         assert found.sum() == len(expected_gains)
         assert np.array_equal(poses[found], expected_poses)

@@ -6,7 +6,6 @@ from spinpipe.stages.ingest.vehicles import vehicle_mesh
 from spinpipe.stages.verify.fit.coarse_search import coarse_fit
 from spinpipe.stages.verify.fit.registration import Base, refine
 from spinpipe.stages.verify.model.field import build_model_field
-from spinpipe.stages.verify.model.lookup import field_arrays
 from spinpipe.stages.verify.scene.candidate_points import Points
 
 NOTHING = Points(np.empty((0, 3)), np.empty(0))
@@ -37,7 +36,7 @@ def _even(points):
 
 def _refined(field, points, start, stretch=0.0, gate=0.1):
     gates = np.array([0.4, 0.2, gate])
-    args = field_arrays(field), start, gates, stretch, FREE, NO_COURSE
+    args = field, start, gates, stretch, FREE, NO_COURSE
     return refine(_even(points), NOTHING, *args)[:2]
 
 
@@ -87,7 +86,7 @@ def test_a_hole_in_the_ground_guides_a_sparse_body(saloon):
         np.c_[rng.uniform(-0.3, 0.0, 30), rng.uniform(-0.2, 0.2, 30), np.full(30, 1.42)], truth
     )
     start = truth + [0.25, 0.2, 0, 0.08, 0, 0, 0]
-    args = field_arrays(saloon), start, np.array([0.4, 0.2]), 0.0, FREE, NO_COURSE
+    args = saloon, start, np.array([0.4, 0.2]), 0.0, FREE, NO_COURSE
     pose, *_ = refine(_even(roof), _even(ground), *args)
     alone, *_ = refine(_even(roof), NOTHING, *args)
     off = np.hypot(*(pose[:2] - truth[:2]))
@@ -100,7 +99,7 @@ def test_coarse_fit_prefers_the_truth_and_bounds_hold(saloon):
     points = _scene("saloon", truth)
 
     def fit(pose):
-        return coarse_fit(_even(points), NOTHING, field_arrays(saloon), pose, 0.25, 50.0)
+        return coarse_fit(_even(points), NOTHING, saloon, pose, 0.25, 50.0)
 
     best = fit(truth)
     assert 0.8 < best <= 1
@@ -110,9 +109,11 @@ def test_coarse_fit_prefers_the_truth_and_bounds_hold(saloon):
 
 
 def test_field_knows_body_sight_and_symmetry(saloon):
-    assert saloon.solid.sum() * saloon.voxel_m**3 == pytest.approx(6.5, rel=0.3)
+    places = np.array([(0.0, 0.0), (0.9, 0.5), (0.0, 1.2), (2.6, 0.0)])
+    column = np.floor((places - saloon.origin[:2]) / saloon.voxel_m).astype(int)
+    assert saloon.footprint[tuple(column.T)].tolist() == [True, True, False, False]
     assert saloon.seen_weight.sum() == pytest.approx(1)
-    assert (saloon.normals[saloon.probes, 2] > 0).all()
+    assert (saloon.probe_normals[:, 2] > 0).all()
     assert np.allclose(np.linalg.norm(saloon.edges[:, 2:], axis=1), 1)
     assert not saloon.looks_same(np.pi, np.zeros(3), 0.0, 0.05)
     barrel = cylinder(0.3, 0.9)

@@ -20,7 +20,6 @@ from spinpipe.stages.verify.judge import kernels
 from spinpipe.stages.verify.judge.hypotheses import coarse_poses, course_of, refine_poses
 from spinpipe.stages.verify.judge.tolerance import tolerance
 from spinpipe.stages.verify.model.field import build_model_field
-from spinpipe.stages.verify.model.lookup import field_arrays
 from spinpipe.stages.verify.scene.candidate_points import TOO_FEW
 from spinpipe.stages.verify.scene.cell_grid import grid_of
 
@@ -87,24 +86,23 @@ def cases(draw):
 @given(case=cases())
 def test_registration_and_evidence_are_what_their_twins_say(case):
     scene, field, limits, start = case
-    arrays = field_arrays(field)
-    poses, found = refine_poses(scene, arrays, limits, start[None])
-    body, ground = twins.fine_points(scene, arrays, limits, start)
-    course = course_of(scene, arrays, limits, start)
+    poses, found = refine_poses(scene, field, limits, start[None])
+    body, ground = twins.fine_points(scene, field, limits, start)
+    course = course_of(scene, field, limits, start)
     if len(body.xyz) < TOO_FEW:
         assert np.array_equal(poses[0], start)
         assert not found.any()
         assert len(course.poses) == 0
         return
     assert np.array_equal(course.poses[-1], poses[0])
-    off, steps = twins.follow(body, ground, arrays, limits, course.poses)
+    off, steps = twins.follow(body, ground, field, limits, course.poses)
     assert off < 1e-7
     assert steps == len(course.poses) - 1
     everywhere = np.ones(4, bool)
     for pose, rms_m in zip(course.poses, course.rms_m, strict=True):
-        _, explained, square_sum = twins.claim(body, arrays, pose, limits.gate_m, everywhere)
+        _, explained, square_sum = twins.claim(body, field, pose, limits.gate_m, everywhere)
         assert rms_m == pytest.approx(np.sqrt(square_sum / explained) if explained else np.inf)
-    expected = twins.evidence(scene, body, arrays, poses[0], limits)
+    expected = twins.evidence(scene, body, field, poses[0], limits)
     for name, value in zip(EVIDENCE, found[0], strict=True):
         assert value == pytest.approx(expected[name], rel=1e-9, abs=1e-9), name
 
@@ -113,10 +111,9 @@ def test_registration_and_evidence_are_what_their_twins_say(case):
 @given(case=cases(), top=st.floats(0.3, 2.0))
 def test_the_coarse_search_finds_what_trying_all_poses_finds(case, top):
     scene, field, limits, _ = case
-    arrays = field_arrays(field)
-    assert kernels.reach(arrays, limits) == pytest.approx(twins.search_reach(arrays, limits))
-    poses, gains = coarse_poses(scene, arrays, limits, top, 3)
-    expected_poses, expected_gains = twins.coarse_poses(scene, arrays, limits, top, 3)
+    assert kernels.reach(field, limits) == pytest.approx(twins.search_reach(field, limits))
+    poses, gains = coarse_poses(scene, field, limits, top, 3)
+    expected_poses, expected_gains = twins.coarse_poses(scene, field, limits, top, 3)
     assert (gains > 0).sum() == len(expected_gains)
     assert np.array_equal(gains[gains > 0], expected_gains)
     assert np.array_equal(poses[gains > 0], expected_poses)

@@ -307,7 +307,7 @@ def step(body, ground, field, pose, gate, inset, hides, stretch, base):
         w = ground.weights * hides * (1 - (r / gate) ** 2) ** 2
         terms.append((rows[held], r[held], w[held]))
     # damping and priors are residuals too, one for each number of the pose
-    damp = 1e-4 * mass * np.array([1, 1, 1, field.reach**2, 1, 1, 1])
+    damp = 1e-4 * mass * np.array([1, 1, 1, field.outermost_m**2, 1, 1, 1])
     level = mass * np.array([0, 0, 0.1 * min(1.0, (gate / base.sd) ** 2) if base.sd > 0 else 0])
     size = 0.02 * mass * (gate / stretch) ** 2 if stretch > 0 else 0.0
     terms.append((np.eye(7), np.zeros(7), damp))
@@ -318,7 +318,7 @@ def step(body, ground, field, pose, gate, inset, hides, stretch, base):
     J = rows[:, :dof]
     A, b = (J.T * w) @ J, -(J.T * w) @ r
     delta = np.linalg.solve(A, b)
-    moved = max(np.linalg.norm(delta[:3]), abs(delta[3]) * field.reach)
+    moved = max(np.linalg.norm(delta[:3]), abs(delta[3]) * field.outermost_m)
     after = pose.copy()
     after[:dof] += min(1.0, gate / moved) * delta if moved > 0 else 0.0
     if stretch > 0:
