@@ -95,7 +95,8 @@ def _serve(
                     signal.setitimer(signal.ITIMER_PROF, STEP_S)
                 _send(stream, "end", None)
             except StageError as error:
-                _send(stream, "error", error)
+                # its text alone: some libraries pickle causes too, and not all causes can be
+                _send(stream, "error", StageError(str(error)))
             except MemoryError:
                 text = f"{path}: asks for more memory than its size explains; export it again"
                 _send(stream, "error", StageError(text))

@@ -49,9 +49,7 @@ def test_a_candidate_and_the_threshold_are_drawn(
     assert cli("record", yard_run.output).code == 0
     recording = yard_run.output / "run.rrd"
     accepted = next(d["id"] for d in yard_run.detections() if d["fate"] == "accepted")
-    rejected = [
-        d["id"] for d in yard_run.detections() if d["fate"] not in ("accepted", "ambiguous")
-    ]
+    rejected = [d["id"] for d in yard_run.detections() if d["fate"] == "rejected"]
     shown: dict[str, int] = {}
     steps = {"accepted": accepted} | ({"rejected": rejected[0]} if rejected else {})
     for fate, number in steps.items():

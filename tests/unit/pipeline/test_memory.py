@@ -30,7 +30,9 @@ def held():
 config, output, memory_gb = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
 common = [f"execution.memory_gb={memory_gb}", "execution.threads=2"]
 run_command(config, output, common, "ingest", None, "save", False)
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+# ru_maxrss would be that of the process that started this one, if it was larger
+status = Path("/proc/self/status").read_text()
+peak = 1024 * int(next(line for line in status.splitlines() if "VmHWM" in line).split()[1])
 seen = []
 for points in range(20):
     more = [*common, f"record.preview_points={1000 + points}"]
