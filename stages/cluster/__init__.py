@@ -1,1 +1,1 @@
-"""Stage 4: hits become candidates."""
+"""Stage 5: hits become candidates."""

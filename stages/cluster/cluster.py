@@ -1,4 +1,4 @@
-"""Stage 4: hits that stand for the same instance become one candidate."""
+"""Stage 5: hits that stand for the same instance become one candidate."""
 
 from __future__ import annotations
 

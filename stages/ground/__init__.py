@@ -1,1 +1,1 @@
-"""Stage 2: which way is up, and where the ground is."""
+"""Stage 3: which way is up, and where the ground is."""

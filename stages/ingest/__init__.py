@@ -1,1 +1,1 @@
-"""Stage 1: scene and models become tiles in metres."""
+"""Stages 1 and 2: scene and models become tiles in metres."""

@@ -1,1 +1,1 @@
-"""Stage 3: spin images of models and scene, correlated."""
+"""Stage 4: spin images of models and scene, correlated."""

@@ -16,9 +16,11 @@ from spinpipe.stages.scan.image import SpinGrid, spin_image
 MOST_PLACES = 300
 """Places on a top that are compared: one in each voxel of an eighth of the radius, thinned out."""
 MOST_POINTS = 15_000
-"""Of the model that their images are made of."""
+"""Of the model that their images are made of: chosen, as the places are, so that it takes 0.2 s."""
 AS_TYPICAL = 0.9
-"""Share of the greatest mean correlation that is as good: then the place nearest to the middle."""
+"""Share of the greatest mean correlation that is as good: then the place nearest to the middle.
+Chosen; from 0.8 to 0.9 six models of cars, three cut buses and a cut prism keep theirs, at 0.95 it
+is off the middle of what is round."""
 
 
 def typical_point(points: F64, grid: SpinGrid, lift_m: float) -> F64:
@@ -36,7 +38,7 @@ def typical_point(points: F64, grid: SpinGrid, lift_m: float) -> F64:
     rows = np.unique(np.floor(top / (grid.radius_m / 8)), axis=0, return_index=True)[1]
     rows = np.sort(rows)
     places = top[rows[np.linspace(0, len(rows) - 1, min(len(rows), MOST_PLACES)).astype(int)]]
-    surface = points[:: max(1, len(points) // MOST_POINTS)]
+    surface = points[:: max(1, -(-len(points) // MOST_POINTS))]
     images = np.array(
         [spin_image(surface - place - [0, 0, lift_m], np.zeros(3), grid) for place in places], float
     ).reshape(len(places), -1)

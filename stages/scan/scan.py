@@ -1,4 +1,4 @@
-"""Stage 3: the spin image of every model correlated with the one at every scene point.
+"""Stage 4: the spin image of every model correlated with the one at every scene point.
 
 [Bovenkamp 2010], sections 2.1 and 2.2: upright objects need one spin image each, taken about the
 vertical through a point of the model's top; scene points whose own image correlates are hits.

@@ -1,1 +1,1 @@
-"""Stage 5: what stands at each candidate, and how sure that is."""
+"""Stage 6: what stands at each candidate, and how sure that is."""

@@ -1,4 +1,4 @@
-"""Stage 5: every candidate is fitted and judged, and keeps the reason for its fate."""
+"""Stage 6: every candidate is fitted and judged, and keeps the reason for its fate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The decision: competition of candidates, headings and models, and the reason for every fate."""
+"""The decision: competition of headings and models, and the reason for every fate.
+
+Which candidates keep their place is decided before, see ``neighbours`` and ``judge.resolve``.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,7 @@ def decide(examiner: Examiner, table: Hypotheses, places: F64, rules: Rules) -> 
     table = explain_neighbours(examiner, table, rules.min_score)
     near = standing(examiner, table, rules.min_score)
     table = judged_by_group(examiner, table, near.best.rows(near.displaced_by < 0))
-    near = standing(examiner, table, rules.min_score)
+    near = standing(examiner, table, rules.min_score)  # scores have changed
     best = near.best
     continuing = first_continuing(
         best.evidence[:, [EVIDENCE.index(f"{side}_level") for side in SIDES]],
@@ -88,7 +91,7 @@ def _judge(
     evidence: dict[str, float] = dict(zip(EVIDENCE, best.evidence[k].tolist(), strict=True))
     parts: dict[str, float] = dict(zip(PARTS, best.parts[k].tolist(), strict=True))
     margin, runner_up, runner_up_rms_m = _heading_margin(examiner, best, k, rivals)
-    alternative, lead = _alternative(best, k, rivals)
+    alternative, lead = _alternative(examiner, best, k, rivals)
     weakest = examiner.weakest_part(best.parts[k], int(best.model[k]))
     fate, cause, reason = _fate(known, evidence, parts, weakest, value, rules)
     duplicate_of = -1
@@ -197,9 +200,13 @@ def _heading_margin(
     return float(best.score[k]), best.pose[k], math.inf
 
 
-def _alternative(best: Hypotheses, k: int, rivals: Hypotheses) -> tuple[int, float]:
-    """The next best model, and by how much the best one leads."""
-    others = np.flatnonzero(rivals.model != best.model[k])
+def _alternative(
+    examiner: Examiner, best: Hypotheses, k: int, rivals: Hypotheses
+) -> tuple[int, float]:
+    """The next best model at that place, and by how much the best one leads."""
+    moved = np.hypot(*(rivals.pose[:, :2] - best.pose[k, :2]).T)
+    narrow_m = examiner.objects[int(best.model[k])].field.narrow_m
+    others = np.flatnonzero((rivals.model != best.model[k]) & (moved < narrow_m))
     if len(others) == 0:
         return -1, float(best.score[k])
     row = others[np.argmax(rivals.score[others])]

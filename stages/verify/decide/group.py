@@ -27,9 +27,10 @@ than the widest of six labelled scenes has (0.02 to 0.15, measured on their cand
 LEAST_SPREAD = 0.1
 """Of any group: single instances are covered, dark or cut in part. Chosen."""
 GOOD = 0.75
-"""Quantile of the log odds of what seems to be right: as many decoys as instances lie lower."""
+"""Quantile of the log odds, weighted by score: where as many decoys as instances seem to be right,
+the median would be a decoy's. Chosen."""
 BELOW_TOP = 2.0
-"""Log odds below those at which a candidate counts half as one of the group. Chosen."""
+"""Log odds below that quantile at which a candidate counts half as one of the group. Chosen."""
 USUAL = 1.5
 """Spreads below the median that tell nothing: a fifteenth of a normal distribution lies lower."""
 
@@ -44,7 +45,7 @@ def judged_by_group(examiner: Examiner, table: Hypotheses, instances: Hypotheses
     Parameters
     ----------
     table : all hypotheses.
-    instances : distinct candidates, one hypothesis each, with their scores.
+    instances : distinct candidates, right or wrong, one hypothesis each, with their scores.
     """
     if len(instances.model) == 0:
         return table
