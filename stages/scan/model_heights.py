@@ -1,4 +1,4 @@
-"""Which points of a scene may be the topmost point of an object that stands on something."""
+"""Which points of a scene may be on the top of an object that stands on something."""
 
 from __future__ import annotations
 

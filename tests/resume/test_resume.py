@@ -6,77 +6,39 @@ import fcntl
 import itertools
 import os
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from unittest import mock
 
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from mcap.reader import make_reader
+from tests.resume.going_on import (
+    NAMES,
+    RESULTS,
+    assert_same_results,
+    content,
+    go_on,
+    left_overs,
+    ran,
+)
 
 from spinpipe.pipeline import commands, mcap_file
 from spinpipe.pipeline.config import ExecutionSection, load_config
 from spinpipe.pipeline.engine import Engine, open_engine
-from spinpipe.pipeline.mcap_file import StageFileWriter, check
+from spinpipe.pipeline.mcap_file import StageFileWriter
 from spinpipe.pipeline.plan import make_plan
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.pipeline.runner import Runner
 from spinpipe.schemas.topics import Topic
-from spinpipe.stages import STAGES
 
 if TYPE_CHECKING:
-    from tests.conftest import Cli, Outcome, YardRun
+    from tests.conftest import Cli, YardRun
 
-NAMES = [stage.name for stage in STAGES]
-RESULTS = ("detections.json", "detections.csv", "detections.ply")
 
 on_a_copy = settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
-
-
-def go_on(cli: Cli, run: YardRun, *options: str) -> Outcome:
-    outcome: Outcome = cli("run", run.config, "--rerun", "off", "-o", run.output, *options)
-    return outcome
-
-
-def actions(outcome: Outcome) -> dict[str, str]:
-    """What the run said that it did, by stage."""
-    assert outcome.code == 0, outcome.err
-    lines = (line.split() for line in outcome.out.splitlines())
-    return {words[1]: words[0] for words in lines if words and words[0] in ("run", "reuse")}
-
-
-def ran(outcome: Outcome) -> list[str]:
-    return [stage for stage, action in actions(outcome).items() if action == "run"]
-
-
-def content(path: Path) -> list[tuple[str, bytes]]:
-    """All messages of a file: everything but what tells when it was written."""
-    with path.open("rb") as stream:
-        return [
-            (channel.topic, message.data)
-            for _, channel, message in make_reader(stream).iter_messages()
-        ]
-
-
-def assert_same_results(run: YardRun, reference: YardRun) -> None:
-    for name in RESULTS:
-        assert (run.output / name).read_bytes() == (reference.output / name).read_bytes(), name
-    for stage in NAMES:
-        assert content(run.mcap(stage)) == content(reference.mcap(stage)), stage
-    assert left_overs(run.output) == []
-
-
-def left_overs(folder: Path) -> list[str]:
-    patterns = ("*.partial", "*.interrupted", ".scratch-*")
-    return [path.name for pattern in patterns for path in folder.glob(pattern)]
 
 
 def test_a_second_run_reuses_everything_and_touches_nothing(cli: Cli, yard_run: YardRun) -> None:
@@ -407,78 +369,3 @@ def test_a_broken_program_says_so_in_one_line(cli: Cli, yard_run: YardRun) -> No
     assert outcome.code == 70
     assert outcome.err.count("\n") == 1
     assert "internal error: RuntimeError: two lines" in outcome.err
-
-
-# From here on with processes of their own, that really die.
-
-
-def heed_ctrl_c() -> None:
-    """A shell that puts the tests in the background lets its children ignore SIGINT."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
-def start(run: YardRun) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [
-            *(sys.executable, "-c", "from spinpipe.pipeline.entry import main; main()"),
-            *("run", str(run.config), "--rerun", "off", "-o", str(run.output)),
-        ],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=heed_ctrl_c,
-    )
-
-
-def wait_for(run: YardRun, name: str, process: subprocess.Popen[str]) -> None:
-    """Wait until a file is there, or the process has ended."""
-    while process.poll() is None and not (run.output / name).exists():
-        time.sleep(0.002)
-
-
-def test_kills_at_random_moments_cost_nothing_that_was_finished(
-    cli: Cli, finished_yard: YardRun, yard_run: YardRun
-) -> None:
-    rng = np.random.default_rng(int.from_bytes(os.urandom(4), "little"))
-    shutil.rmtree(yard_run.output)
-    finished: set[str] = set()
-    for number, name in enumerate(sorted(p.name for p in finished_yard.output.glob("*.mcap"))):
-        process = start(yard_run)
-        wait_for(yard_run, f"{name}.partial", process)
-        time.sleep(rng.uniform(0, 0.3))
-        process.send_signal(signal.SIGKILL)
-        process.communicate()
-        there = {path.name for path in yard_run.output.glob("*.mcap")}
-        assert finished <= there, f"kill {number} lost a finished stage"
-        for path in yard_run.output.glob("*.mcap"):
-            check(path)
-        finished = there
-    outcome = go_on(cli, yard_run)
-    reused = {stage for stage, action in actions(outcome).items() if action == "reuse"}
-    assert {yard_run.mcap(stage).name for stage in reused} == finished
-    assert_same_results(yard_run, finished_yard)
-
-
-def test_ctrl_c_ends_quietly_and_the_next_run_goes_on(
-    cli: Cli, finished_yard: YardRun, yard_run: YardRun
-) -> None:
-    for stage in NAMES[1:]:
-        yard_run.mcap(stage).unlink()
-    process = start(yard_run)
-    wait_for(yard_run, "03_ground.mcap.partial", process)
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert err.splitlines()[-1] == "spinpipe: interrupted; run it again to go on"
-    assert actions(go_on(cli, yard_run))["ingest"] == "reuse"
-    assert_same_results(yard_run, finished_yard)
-
-
-def test_two_processes_do_not_spoil_each_other(finished_yard: YardRun, yard_run: YardRun) -> None:
-    shutil.rmtree(yard_run.output)
-    ends = [(p, p.communicate()) for p in [start(yard_run), start(yard_run)]]
-    codes = sorted(process.returncode for process, _ in ends)
-    assert codes == [0, 1]
-    loser = next(err for process, (_, err) in ends if process.returncode == 1)
-    assert "another spinpipe works in this folder" in loser
-    assert_same_results(yard_run, finished_yard)

@@ -47,7 +47,7 @@ def start_poses(position: F64, top: F64, starts: int) -> F64:
     Parameters
     ----------
     position : (3,) candidate, world, metres.
-    top : (3,) the model's topmost point, object frame.
+    top : (3,) point of the model at which its spin image was taken, object frame.
     starts : number of headings over the full turn.
     """
     angles = np.arange(starts) * 2.0 * np.pi / starts

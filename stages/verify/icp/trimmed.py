@@ -29,7 +29,7 @@ def trimmed_icp(
     Parameters
     ----------
     samples : (n, 3) points of the model, object frame, metres.
-    top : (3,) the model's topmost point, object frame.
+    top : (3,) point of the model at which its spin image was taken, object frame.
     cutout : (N, 3) scene points around the candidate, world; at least one.
     position : (3,) candidate, world.
     starts, iterations : as in the paper 12 and 15.

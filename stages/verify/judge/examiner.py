@@ -48,6 +48,9 @@ LONG = 1.5
 """Length over width from which a quarter turn brings no model near itself."""
 WORTH_A_SECOND_LOOK = -12.0
 """Log odds from which a place is tried with all models and headings."""
+LIKELY = 0.0
+"""Log odds from which the like of a model are not tried at a first look: there all compete later.
+Where it does not fit they may; at -12 one car of 31 was lost (deck-west)."""
 WORTH_ANOTHER_PLACE = -6.0
 """Log odds from which a candidate is examined elsewhere than where it fits best, if another one
 stands there: chosen, few hypotheses gain more from a second look."""
@@ -99,7 +102,7 @@ class Examiner:
         self.expected = tuple(r.points for r in right)
         self.stretch = np.array([o.stretch for o in objects])
         self.height_m = np.array([o.field.size[2] for o in objects])
-        self.top_m = np.array([f.top_level for f in self.fields])
+        self.top_level_m = np.array([f.top_level for f in self.fields])
         self.starts = tuple(STARTS * (2 if has_long_top(f) else 1) for f in self.fields)
         self.support_reach_m = reach_of(max(o.field.reach_m * (1 + o.stretch) for o in objects))
 
@@ -137,9 +140,9 @@ class Examiner:
             )
             pose = pose[gain > 0]
             seen = self._judged(block, scene, c, np.full(len(pose), m), pose)
-            if len(pose) == 0 or seen.odds.max() >= 0.0:
+            if len(pose) == 0 or seen.odds.max() >= LIKELY:
                 return seen
-            like = self._like(m, place.top)  # they may fit where it does not
+            like = self._like(m, place.top)
             start = np.repeat(pose[:1], len(like), axis=0)
             return Hypotheses.joined([seen, self._judged(block, scene, c, like, start)])
 
@@ -180,7 +183,7 @@ class Examiner:
         self, surfaces: Surfaces, places: F64, proposed: I64
     ) -> tuple[F64, F64, NDArray[np.bool_]]:
         """Points (C, 3) and slopes (C, 2) of the supports, and whether there is one."""
-        height = self.top_m[proposed]
+        height = self.top_level_m[proposed]
         slack = BASE_SLACK * height + self.stretch[proposed] * height + 3 * self.sampling.noise_m
         support = find_support(places, places[:, 2] - height, surfaces, slack)
         origin = np.column_stack([places[:, :2], support.height])
@@ -213,7 +216,7 @@ class Examiner:
 
     def _like(self, m: int, top_m: float) -> I64:
         """Other models that may stretch and be as high as a candidate is above its support."""
-        wanted = top_m / self.top_m
+        wanted = top_m / self.top_level_m
         slack = self.stretch + BASE_SLACK
         fits = (self.stretch > 0) & (wanted > 1 - slack) & (wanted < 1 + slack)
         fits[m] = False

@@ -63,7 +63,7 @@ def coarse_poses(
     Parameters
     ----------
     scene : around the candidate, in the frame of its support.
-    top : height of the candidate above the support: of the model's topmost point.
+    top : height of the candidate above the support: of the model's top.
     keep : how many poses to keep.
 
     Returns

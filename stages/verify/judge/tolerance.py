@@ -26,7 +26,7 @@ class Tolerance(NamedTuple):
     step_m : offset between the starts of the coarse search.
     chance : share of the visible surface that a surface at a random height seems to support.
     headings : number of headings of the coarse search.
-    offset_m : how far a candidate may lie from the model's topmost point.
+    offset_m : how far a candidate may lie from the middle of the model's top.
     low_m : what is lower than this above the ground may be the ground.
     stretch : largest relative change of each extent.
     """

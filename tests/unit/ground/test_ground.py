@@ -1,7 +1,6 @@
 """The ground stage on scenes whose up is known: made ones, turned ones, real ones."""
 
 import contextlib
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,99 +8,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
+from tests.unit.ground.scenes import (
+    UP,
+    Memory,
+    angle_deg,
+    box,
+    car_park,
+    ground_of,
+    rectangle,
+    up_of,
+)
 
-from spinpipe.schemas import CAMERAS, CLOUD, PLANE, SAMPLING, SCENE, TILES, TRAJECTORY, UPRIGHT
-from spinpipe.schemas.records import Cameras, CloudTile, SceneFrame, TileIndex, Trajectory
+from spinpipe.schemas import SAMPLING
+from spinpipe.schemas.records import Cameras, Trajectory
 from spinpipe.stages.ground.area_sample import sample_by_area
 from spinpipe.stages.ground.ground import Ground
-from spinpipe.stages.ingest.open_scene import open_scene
 from spinpipe.stages.stage import StageError
-
-UP = np.array([0.0, 0.0, 1.0])
-
-
-class Memory:
-    """A context in memory that holds the stage to its own topics."""
-
-    threads, memory_bytes = 1, 2**30
-
-    def __init__(self, tiles, cameras=None, seed=0, declared=(), lidar=None, **config):
-        self.config = Ground.Config(**config)
-        self.rng = np.random.default_rng(seed)
-        white = [np.full(tile.shape, 255, np.uint8) for tile in tiles]
-        low = np.array([t.min(axis=0) for t in tiles], np.float32)
-        high = np.array([t.max(axis=0) for t in tiles], np.float32)
-        self.messages = {
-            CLOUD: [CloudTile(t, rgb) for t, rgb in zip(tiles, white, strict=True)],
-            TILES: [TileIndex(low, high, np.array([len(t) for t in tiles]))],
-            SCENE: [SceneFrame((0, 0, 0), (1, 1, 1), 0, 0, False, "scene", up=declared)],
-            CAMERAS: [] if cameras is None else [cameras],
-            TRAJECTORY: [] if lidar is None else [lidar],
-        }
-        self.written = {}
-
-    def read(self, topic):
-        return self.messages[topic]
-
-    def read_one(self, topic):
-        (message,) = self.messages[topic]
-        return message
-
-    def write(self, topic, message):
-        assert topic in Ground.outputs
-        assert topic not in self.written
-        self.written[topic] = message
-
-    def progress(self, label, total):
-        return self
-
-    def advance(self, steps=1):
-        pass
-
-    def log(self, text):
-        assert "\n" not in text
-
-
-def ground_of(points, cameras=None, pieces=3, seed=0, **config):
-    """Plane and upright of a cloud that is cut into pieces."""
-    tiles = np.array_split(np.asarray(points, np.float32), pieces)
-    context = Memory(tiles, cameras, seed, **config)
-    Ground().run(context)
-    return context.written[PLANE], context.written[UPRIGHT]
-
-
-def up_of(points, cameras=None, **config):
-    return np.array(ground_of(points, cameras, **config)[0].normal)
-
-
-def angle_deg(a, b):
-    return np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
-
-
-def rectangle(rng, corner, a, b, density=40):
-    """Uniform points on a parallelogram."""
-    corner, a, b = (np.asarray(v, float) for v in (corner, a, b))
-    n = int(np.linalg.norm(np.cross(a, b)) * density)
-    u = rng.uniform(size=(2, n, 1))
-    return corner + u[0] * a + u[1] * b
-
-
-def box(rng, x, y, length, width, height, density=40):
-    """The four sides and the top of a box that stands on z = 0."""
-    o, a, b, c = (np.array(v) for v in ((x, y, 0), (length, 0, 0), (0, width, 0), (0, 0, height)))
-    sides = [(o, a, c), (o + b, a, c), (o, b, c), (o + a, b, c), (o + c, a, b)]
-    return np.concatenate([rectangle(rng, *map(np.asarray, s), density) for s in sides])
-
-
-def car_park(rng, cars=8, size=30.0):
-    """Flat ground with car-sized boxes on it, nothing under them."""
-    ground = rectangle(rng, (-size / 2, -size / 2, 0), (size, 0, 0), (0, size, 0))
-    parts = []
-    for x, y in rng.uniform(-size / 2, size / 2 - 5, (cars, 2)):
-        parts.append(box(rng, x, y, 4.2, 1.8, 1.4))
-        under = (abs(ground[:, 0] - x - 2.1) < 2.1) & (abs(ground[:, 1] - y - 0.9) < 0.9)
-        ground = ground[~under]
-    return np.concatenate([ground, *parts])
 
 
 @given(seed=st.integers(0, 10_000), noise_m=st.sampled_from([0.0, 0.02, 0.1, 0.2]))
@@ -403,31 +325,6 @@ def test_measured_sampling_is_that_of_the_scene(noise_m):
     assert sampling.noise_m == pytest.approx(noise_m, rel=0.2, abs=1e-4)
 
 
-def read_real(path):
-    """Cloud and cameras of a real scene in a local frame."""
-    source = open_scene(path)
-    points = np.concatenate([xyz for xyz, _ in source.chunks(1_000_000)])
-    origin = np.round(points.mean(axis=0))
-    cameras = source.about.cameras
-    if cameras is not None:
-        cameras = replace(cameras, positions=cameras.positions - origin)
-    return points - origin, cameras
-
-
-@pytest.mark.parametrize("name", ["photo-west", "lot-north", "deck-west", "bus-yard"])
-def test_real_drone_scenes_keep_their_z(shared_data, name):
-    """Though a lot drains by 1.8 degrees and ramps hold more of a deck than its level parts."""
-    points, _ = read_real(shared_data / name / "scene.ply")
-    assert angle_deg(up_of(points), UP) < 1.8
-
-
-@pytest.mark.parametrize("name", ["photo-west", "deck-west", "bus-yard"])
-def test_real_drone_scenes_stand_upright_however_turned(shared_data, name):
-    points, _ = read_real(shared_data / name / "scene.ply")
-    turn = Rotation.from_euler("xyz", (100, 35, -60), degrees=True)
-    assert angle_deg(up_of(turn.apply(points)), turn.apply(UP)) < 0.5
-
-
 def ramps(rng, tilt_deg):
     """A deck with two ramps larger than its level parts, a street below, walls between them."""
     parts = [
@@ -452,23 +349,6 @@ def test_up_does_not_follow_ramps(tilt_deg):
     turn = Rotation.random(random_state=int(tilt_deg))
     scene = turn.apply(ramps(np.random.default_rng(25), tilt_deg))
     assert angle_deg(up_of(scene), turn.apply(UP)) < 0.5
-
-
-def test_a_real_nadir_flight_stands_upright(shared_data):
-    points, cameras = read_real(shared_data / "brighton" / "colmap_sparse")
-    plane, _ = ground_of(points, cameras)
-    assert angle_deg(np.array(plane.normal), UP) < 1
-    assert plane.up_source == "cameras"
-    dense, _ = read_real(shared_data / "brighton" / "pmvs" / "scene_binary.ply")
-    assert angle_deg(up_of(dense), UP) < 1
-
-
-def test_a_hand_held_model_with_y_down(shared_data):
-    points, cameras = read_real(shared_data / "formats" / "colmap_old_bin" / "sparse" / "0")
-    plane, _ = ground_of(points, cameras)
-    up = np.array(plane.normal)
-    rotations = Rotation.from_quat(cameras.quaternions_xyzw).as_matrix()
-    assert (-(rotations[:, :, 1] + rotations[:, :, 2]) @ up > 0.5).all()
 
 
 def test_a_lidar_decides_what_the_points_do_not() -> None:
