@@ -50,7 +50,7 @@ WORTH_A_SECOND_LOOK = -12.0
 """Log odds from which a place is tried with all models and headings."""
 LIKELY = 0.0
 """Log odds from which the like of a model are not tried at a first look: there all compete later.
-Where it does not fit they may; at -12 one car of 31 was lost (deck-west)."""
+Where it does not fit they may; at -12 one car of 31 on a roof deck was lost."""
 WORTH_ANOTHER_PLACE = -6.0
 """Log odds from which a candidate is examined elsewhere than where it fits best, if another one
 stands there: chosen, few hypotheses gain more from a second look."""
