@@ -7,13 +7,13 @@ layout nor comments nor docstrings.
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import json
 import sys
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
+from types import CodeType
 from typing import Any
 
 from pydantic import BaseModel
@@ -85,9 +85,10 @@ def code_digest(*files: Path) -> str:
     """Digest of what Python files do: comments, layout and docstrings may change."""
     digest = hashlib.sha256()
     for file in sorted(files):
-        tree = ast.parse(file.read_bytes())
-        _drop_docstrings(tree)
-        digest.update(f"{file.name} {ast.dump(tree)}\n".encode())
+        # what is left at this level has neither docstrings nor assertions
+        code = compile(file.read_bytes(), file.name, "exec", dont_inherit=True, optimize=2)
+        for part in (file.name, *_effects(code)):
+            digest.update(part.encode() + b"\0")
     return digest.hexdigest()
 
 
@@ -101,16 +102,19 @@ def content_digest(folder: str) -> str:
     return digest.hexdigest()
 
 
-def _drop_docstrings(node: ast.AST) -> None:
-    """Take out the statements below a statement that are a string and nothing else."""
-    for name in ("body", "orelse", "finalbody", "handlers", "cases"):
-        if isinstance(lines := getattr(node, name, None), list):
-            for line in list(lines):
-                match line:
-                    case ast.Expr(value=ast.Constant(value=str())):
-                        lines.remove(line)
-                    case _:
-                        _drop_docstrings(line)
+def _effects(code: CodeType) -> Iterator[str]:
+    """What compiled code and the functions within it do, without the lines they stand on."""
+    yield repr((code.co_name, code.co_flags, code.co_argcount, code.co_posonlyargcount))
+    yield repr((code.co_kwonlyargcount, code.co_names, code.co_varnames, code.co_freevars))
+    yield repr((code.co_code, code.co_exceptiontable))
+    for constant in code.co_consts:
+        match constant:
+            case CodeType():
+                yield from _effects(constant)
+            case frozenset():  # its order is another in each process
+                yield repr(sorted(map(repr, constant)))
+            case _:
+                yield repr(constant)
 
 
 def _code(stage: Stage) -> dict[str, str]:

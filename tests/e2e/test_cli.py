@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -306,31 +305,6 @@ def test_the_table_fits_eighty_columns(demo: tuple[Outcome, Path]) -> None:
     first = next(k for k, line in enumerate(lines) if line.startswith("id "))
     lines = [line for line in lines[first:] if "results in" not in line]
     assert max(len(line.rstrip()) for line in lines) <= 80
-
-
-RUN = "from spinpipe.pipeline.entry import main; main()"
-
-
-def cpu_seconds(arguments: list[str | Path], cwd: Path, code: str = RUN) -> float:
-    """Processor time of the command in a process of its own: waiting for others is no matter."""
-    command = [sys.executable, "-c", code, *arguments]
-    process = subprocess.Popen(command, cwd=cwd, stdout=subprocess.DEVNULL)
-    _, status, usage = os.wait4(process.pid, 0)
-    assert os.waitstatus_to_exitcode(status) == 0
-    return usage.ru_utime + usage.ru_stime
-
-
-def test_help_answers_at_once(tmp_path: Path) -> None:
-    assert min(cpu_seconds(["--help"], tmp_path) for _ in range(3)) < 0.5
-
-
-def test_a_run_that_reuses_everything_is_quick(demo: tuple[Outcome, Path]) -> None:
-    output = demo[1]
-    arguments: list[str | Path] = ["run", output / "config.toml", "-o", output]
-    cpu_seconds(arguments, output)
-    # beside importing the stages, which takes as long as the machine likes
-    imports = min(cpu_seconds([], output, "import spinpipe.pipeline.commands") for _ in range(2))
-    assert min(cpu_seconds(arguments, output) for _ in range(2)) - imports < 1.0
 
 
 def test_the_version_is_told(cli: Cli) -> None:
