@@ -20,6 +20,8 @@ _ELEVATIONS_DEG = (90.0, 60.0, 30.0, 0.0, -30.0)  # low cameras see what a table
 _AZIMUTHS = 12
 _MOST_CELLS, _MOST_MEMBERS = 256, 50_000_000
 """Cells of the grid along its longest side, and entries of all of them together."""
+_LEAST_SHARE = 0.01
+"""Of the points drawn show, for how many are drawn at once."""
 _FACES_A_CELL = 2.0
 """About so many faces for a cell on one side of a box: a surface crosses few of the cells."""
 
@@ -65,7 +67,11 @@ class FaceGrid(NamedTuple):
         Faces cover whichever side they turn, their borders included. A face that the ray lies in
         covers nothing.
         """
-        return _open_towards(np.ascontiguousarray(points), towards, *self)
+        turned = np.ascontiguousarray(self.corners @ towards.T)  # the ray is the vertical there
+        return _open_towards(
+            np.ascontiguousarray(points), np.ascontiguousarray(points @ towards.T), towards[2],
+            turned, self.low, self.step, self.cells, self.starts, self.members, self.tolerance,
+        )  # fmt: skip
 
 
 def seen_from_above(points: F64, grid: FaceGrid) -> Mask:
@@ -93,9 +99,13 @@ def sample_seen(
     """Like ``sample_surface``, but only points that are ``seen``: points and normals (count, 3)."""
     grid = FaceGrid.of(mesh)
     points, normals = np.empty((0, 3)), np.empty((0, 3))
+    wanted = count
     while len(points) < count:
-        batch, batch_normals = sample_surface(*mesh, count, rng)
+        batch, batch_normals = sample_surface(*mesh, wanted, rng)
         shows = seen(batch, grid)
+        # a tenth more than fail if as many are hidden again
+        share = max(float(shows.mean()), _LEAST_SHARE)
+        wanted = math.ceil(1.1 * max(count - len(points) - np.count_nonzero(shows), 1) / share)
         points = np.concatenate([points, batch[shows]])
         normals = np.concatenate([normals, batch_normals[shows]])
     return points[:count], normals[:count]
@@ -157,8 +167,9 @@ def _fill_members(
 @njit(cache=True, nogil=True)
 def _open_towards(
     points: F64,
-    towards: F64,
-    corners: F64,
+    turned_points: F64,
+    ray: F64,
+    turned_corners: F64,
     low: F64,
     step: float,
     cells: I64,
@@ -166,12 +177,12 @@ def _open_towards(
     members: I64,
     tolerance: float,
 ) -> Mask:
-    """Walk each ray from cell to cell [Amanatides & Woo 1987]."""
+    """Walk each ray from cell to cell [Amanatides & Woo 1987]; turned so that it is vertical."""
     free = np.ones(len(points), np.bool_)
     cell, side, until, each = np.empty(3, np.int64), np.zeros(3, np.int64), np.empty(3), np.empty(3)
     for n in range(len(points)):
         for axis in range(3):
-            along = towards[2, axis]
+            along = ray[axis]
             at = points[n, axis] - low[axis]
             cell[axis] = min(max(int(at / step), 0), cells[axis] - 1)
             side[axis] = 1 if along > 0 else -1
@@ -184,7 +195,7 @@ def _open_towards(
         while free[n]:
             here = (cell[0] * cells[1] + cell[1]) * cells[2] + cell[2]
             for k in range(starts[here], starts[here + 1]):
-                if _hit(points[n], towards, corners[members[k]], tolerance):
+                if _is_below(turned_points[n], turned_corners[members[k]], tolerance):
                     free[n] = False
                     break
             axis = int(np.argmin(until))
@@ -196,12 +207,12 @@ def _open_towards(
 
 
 @njit(cache=True, nogil=True)
-def _hit(point: F64, towards: F64, face: F64, tolerance: float) -> bool:
-    """Whether a face lies ahead of a point: its coordinates with the ray as the vertical."""
-    ax, ay, az = _turned(face[0], point, towards)
-    bx, by, bz = _turned(face[1], point, towards)
-    cx, cy, cz = _turned(face[2], point, towards)
-    # Barycentric coordinates of the ray in the face
+def _is_below(point: F64, face: F64, tolerance: float) -> bool:
+    """Whether a face lies straight above a point."""
+    x, y = point[0], point[1]
+    ax, ay, bx, by = face[0, 0] - x, face[0, 1] - y, face[1, 0] - x, face[1, 1] - y
+    cx, cy = face[2, 0] - x, face[2, 1] - y
+    # Barycentric coordinates of the point in the face
     area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
     if abs(area) <= tolerance * tolerance:
         return False
@@ -209,14 +220,5 @@ def _hit(point: F64, towards: F64, face: F64, tolerance: float) -> bool:
     w = (ax * (by - ay) - (bx - ax) * ay) / area
     if min(v, w, 1 - v - w) < -1e-9:
         return False
-    return az + v * (bz - az) + w * (cz - az) > tolerance
-
-
-@njit(cache=True, nogil=True)
-def _turned(corner: F64, point: F64, towards: F64) -> tuple[float, float, float]:
-    x, y, z = corner[0] - point[0], corner[1] - point[1], corner[2] - point[2]
-    return (
-        x * towards[0, 0] + y * towards[0, 1] + z * towards[0, 2],
-        x * towards[1, 0] + y * towards[1, 1] + z * towards[1, 2],
-        x * towards[2, 0] + y * towards[2, 1] + z * towards[2, 2],
-    )
+    height = face[0, 2] + v * (face[1, 2] - face[0, 2]) + w * (face[2, 2] - face[0, 2])
+    return height - point[2] > tolerance

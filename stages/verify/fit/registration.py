@@ -18,11 +18,15 @@ from spinpipe.stages.compiled import inner
 from spinpipe.stages.verify.fit.ground_hole import hides_ground
 from spinpipe.stages.verify.model.lookup import nearest_edge, nearest_sample
 from spinpipe.stages.verify.model.pose import POSE, pose_of, to_object
+from spinpipe.stages.verify.scene.candidate_points import thinned
 
 STEPS = 12
 """Iterations at one gate, at most."""
 PASSES = 3
 """Gates that a candidate's registration goes through."""
+FIRST_POINTS = 300
+"""About how many points tell the way at the first gate, twice as many at the next, all at the last:
+chosen."""
 
 
 class Base(NamedTuple):
@@ -67,14 +71,16 @@ def refine(body, ground, field, start, gates, stretch, base, course):
     residuals = Residuals(np.empty(room), np.empty((room, POSE + 1)))
     converged = False
     steps = 0
-    for gate in gates:
+    for narrowing in range(len(gates)):
+        gate = gates[narrowing]
+        some = thinned(body, FIRST_POINTS << narrowing) if narrowing < len(gates) - 1 else body
         inset = 0.5 * gates[-1]
         hides = hides_ground(ground, field, pose_of(pose), gate + inset)
         for _ in range(STEPS):
             if steps < course.shape[0]:
                 course[steps] = pose
             at = pose_of(pose)
-            count, total = _add_body(residuals, body, field, at, gate)
+            count, total = _add_body(residuals, some, field, at, gate)
             if total <= 0.0:
                 return pose, False, steps
             if hides >= 0.5:

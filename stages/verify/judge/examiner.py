@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.schemas.arrays import F64, I64
 from spinpipe.schemas.records import Sampling
+from spinpipe.stages.geometry.frames import leaning
 from spinpipe.stages.geometry.support import (
     Surfaces,
     find_support,
@@ -131,22 +132,53 @@ class Examiner:
         if len(points) == 0:
             return Hypotheses.none()
         block = self.block(points, places, proposed)
-
-        def look(c: int) -> Hypotheses:
-            place, m = block.places[c], int(proposed[c])
-            scene = place.scene(block.grid, self.scene_m[m])
-            pose, gain = coarse_poses(
-                scene, self.fields[m], self.limits[m], place.top, self.starts[m]
+        reach_m = np.array([field.reach_m for field in self.fields])[proposed]
+        looks = Hypotheses.none()
+        waiting = np.arange(len(places))
+        while len(waiting):
+            first = _first_around(places[waiting], reach_m[waiting])
+            turn, waiting = waiting[first], waiting[~first]
+            seen = Hypotheses.joined(
+                list(
+                    map_threads(
+                        lambda c: self._look(block, c, int(proposed[c])), turn.tolist(), threads
+                    )
+                )
             )
-            pose = pose[gain > 0]
-            seen = self._judged(block, scene, c, np.full(len(pose), m), pose)
-            if len(pose) == 0 or seen.odds.max() >= LIKELY:
-                return seen
-            like = self._like(m, place.top)
-            start = np.repeat(pose[:1], len(like), axis=0)
-            return Hypotheses.joined([seen, self._judged(block, scene, c, like, start)])
+            looks = Hypotheses.joined([looks, seen])
+            seen = seen.rows(seen.best_rows())
+            for fit in np.flatnonzero(seen.odds >= LIKELY).tolist():
+                known = self._explains(
+                    seen.rows(np.array([fit])), places[waiting], proposed[waiting]
+                )
+                copies = seen.rows(np.full(np.count_nonzero(known), fit))
+                looks = Hypotheses.joined([looks, replace(copies, candidate=waiting[known])])
+                waiting = waiting[~known]
+        return looks
 
-        return Hypotheses.joined(list(map_threads(look, range(len(places)), threads)))
+    def _look(self, block: Block, c: int, m: int) -> Hypotheses:
+        """Hypotheses about a candidate as a model."""
+        place = block.places[c]
+        scene = place.scene(block.grid, self.scene_m[m])
+        pose, gain = coarse_poses(scene, self.fields[m], self.limits[m], place.top, self.starts[m])
+        pose = pose[gain > 0]
+        seen = self._judged(block, scene, c, np.full(len(pose), m), pose)
+        if len(pose) == 0 or seen.odds.max() >= LIKELY:
+            return seen
+        like = self._like(m, place.top)
+        start = np.repeat(pose[:1], len(like), axis=0)
+        return Hypotheses.joined([seen, self._judged(block, scene, c, like, start)])
+
+    def _explains(self, fit: Hypotheses, places: F64, proposed: I64) -> NDArray[np.bool_]:
+        """Whether candidates lie on the surface of a fit of one of their models, well inside."""
+        m, pose, gate_m = int(fit.model[0]), fit.pose[0], self.limits[int(fit.model[0])].gate_m
+        x, y, z = ((places - pose[:3]) @ leaning(fit.lean[0])).T
+        cos, sin = math.cos(pose[3]), math.sin(pose[3])
+        u = np.column_stack([cos * x + sin * y, cos * y - sin * x, z])
+        inside = np.abs(u[:, :2]) < self.sizes(fit)[0, :2] / 2 - gate_m
+        kin = (proposed == m) | ((self.stretch[proposed] > 0) & (self.stretch[m] > 0))
+        near = self.fields[m].distances(u / pose[4:7]) < gate_m
+        return kin & inside.all(axis=1) & near
 
     def examine(
         self,
@@ -164,7 +196,7 @@ class Examiner:
         if len(points) == 0 or len(best.model) == 0:
             return Examination(Hypotheses.none(), {})
         block = self.block(points, places, proposed)
-        again = self._refined(block, best.candidate, best.model, best.pose, threads)
+        again = self._refined(block, best, best.model, best.pose, threads)
         table = Hypotheses.joined([again, self._rivals(block, again, threads)])
         return Examination(table, self._courses(block, table))
 
@@ -196,7 +228,7 @@ class Examiner:
         distinct = resolve(found.pose[:, :4], self.sizes(found), found.odds, max_overlap=0.5) < 0
         found = found.rows(distinct)
         size = self.sizes(found)
-        candidate, model, pose = [], [], []
+        owner, model, pose = [], [], []
         for m, known in enumerate(self.objects):
             wanted = size[:, 2] / known.field.size[2]
             slack = known.stretch + BASE_SLACK
@@ -207,12 +239,11 @@ class Examiner:
                 start[:, :3] = found.pose[fits, :3]
                 start[:, 3] = found.pose[fits, 3] + quarter * math.pi / 2
                 start[:, 6] = tall
-                candidate.append(found.candidate[fits])
+                owner.append(fits)
                 model.append(np.full(len(fits), m))
                 pose.append(start)
-        return self._refined(
-            block, np.concatenate(candidate), np.concatenate(model), np.concatenate(pose), threads
-        )
+        owners = found.rows(np.concatenate(owner))
+        return self._refined(block, owners, np.concatenate(model), np.concatenate(pose), threads)
 
     def _like(self, m: int, top_m: float) -> I64:
         """Other models that may stretch and be as high as a candidate is above its support."""
@@ -228,18 +259,19 @@ class Examiner:
         return (0, 2) if max(length, width) > LONG * min(length, width) else (0, 1, 2, 3)
 
     def _refined(
-        self, block: Block, candidate: I64, model: I64, start: F64, threads: int
+        self, block: Block, of: Hypotheses, model: I64, start: F64, threads: int
     ) -> Hypotheses:
-        """Hypotheses refined from their starts (S, 7), world, and scored."""
-        order = np.argsort(candidate, kind="stable")
-        owners, first = np.unique(candidate[order], return_index=True)
-        groups = np.split(order, first[1:]) if len(owners) else []
+        """Hypotheses refined from starts (S, 7), world, for the candidates of others; scored."""
+        order = np.argsort(of.place, kind="stable")
+        places, first = np.unique(of.place[order], return_index=True)
+        groups = np.split(order, first[1:]) if len(places) else []
 
         def judge(group: I64) -> Hypotheses:
-            c = int(candidate[group[0]])
+            c = int(of.place[group[0]])
             place = block.places[c]
             scene = place.scene(block.grid, max(self.scene_m))
-            return self._judged(block, scene, c, model[group], place.from_world(start[group]))
+            seen = self._judged(block, scene, c, model[group], place.from_world(start[group]))
+            return replace(seen, candidate=of.candidate[group])
 
         return Hypotheses.joined(list(map_threads(judge, groups, threads)))
 
@@ -263,6 +295,7 @@ class Examiner:
             return Hypotheses.none()
         return Hypotheses(
             candidate=np.full(len(model), candidate),
+            place=np.full(len(model), candidate),
             model=model,
             start=place.to_world(start),
             pose=place.to_world(pose),
@@ -288,7 +321,7 @@ class Examiner:
         courses: dict[int, list[Course]] = {}
         for k in rows[table.odds[rows] >= WORTH_A_SECOND_LOOK].tolist():
             m, c = int(table.model[k]), int(table.candidate[k])
-            place = block.places[c]
+            place = block.places[table.place[k]]
             scene = place.scene(block.grid, max(self.scene_m))
             start = place.from_world(table.start[[k]])[0]
             way = course_of(scene, self.fields[m], self.limits[m], start)
@@ -313,6 +346,12 @@ class Examiner:
         """(S, 3) fitted extents of hypotheses."""
         extents = np.array([o.field.size for o in self.objects])
         return extents[table.model] * table.pose[:, 4:7]
+
+
+def _first_around(places: F64, reach_m: F64) -> NDArray[np.bool_]:
+    """Whether each place (N, 3) has none before it within its reach (N,)."""
+    apart = np.linalg.norm(places[:, None, :2] - places[None, :, :2], axis=2)
+    return ~np.tril(apart < reach_m[:, None], -1).any(axis=1)
 
 
 def blocks(places: F64, block_m: float) -> Iterator[I64]:

@@ -90,7 +90,7 @@ def shell_share(model: ModelField, gate_m: float) -> float:
     shape = model.nearest.shape
     axes = np.meshgrid(*(np.arange(n) for n in shape), indexing="ij")
     centres = model.origin + (np.stack(axes, -1) + 0.5) * model.voxel_m
-    near = np.linalg.norm(centres - model.samples[model.nearest], axis=-1) < gate_m
+    near = model.distances(centres.reshape(-1, 3)).reshape(shape) < gate_m
     high = centres[..., 2] > 0.1 * model.size[2]
     box = (np.abs(centres[..., :2]) < model.size[:2] / 2).all(axis=-1)
     box &= centres[..., 2] < model.size[2]

@@ -94,6 +94,15 @@ class ModelField(NamedTuple):
         """Half of the horizontal diagonal: no part is farther from the base centre."""
         return float(np.hypot(self.size[0], self.size[1]) / 2)
 
+    def distances(self, points: F64) -> F64:
+        """(N,) from points (N, 3) of the object frame to the nearest samples, inf off the grid."""
+        cell = np.floor((points - self.origin) / self.voxel_m).astype(int)
+        on = np.all((cell >= 0) & (cell < np.array(self.nearest.shape)), axis=1)
+        near = self.samples[self.nearest[*cell[on].T]]
+        distances = np.full(len(points), np.inf)
+        distances[on] = np.linalg.norm(points[on] - near, axis=1)
+        return distances
+
     def looks_same(self, turn: float, shift: F64, error_m: float, spacing_m: float) -> bool:
         """Whether turned by ``turn`` radians and moved by (3,) it can hardly be told from itself.
 
@@ -104,11 +113,9 @@ class ModelField(NamedTuple):
         cos, sin = np.cos(turn), np.sin(turn)
         probe = self.samples[:: max(1, len(self.samples) // 1000)]
         turned = probe @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]]) + shift
-        cell = np.floor((turned - self.origin) / self.voxel_m).astype(int)
-        if np.any(cell < 0) or np.any(cell >= np.array(self.nearest.shape)):
+        distance = self.distances(turned)
+        if np.isinf(distance).any():
             return False
-        near = self.samples[self.nearest[cell[:, 0], cell[:, 1], cell[:, 2]]]
-        distance = np.linalg.norm(turned - near, axis=1)
         if distance.mean() < max(self.resolution_m, error_m):
             return True
         other = distance > max(2 * self.resolution_m, spacing_m)

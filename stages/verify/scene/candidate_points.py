@@ -63,6 +63,13 @@ def _split(scene, rows, low, ceiling):
 
 
 @inner
+def thinned(points, count):
+    """About ``count`` of some points, evenly strided, with weights that keep their sum."""
+    stride = max(1, (points.xyz.shape[0] + count - 1) // count)
+    return Points(points.xyz[::stride].copy(), points.weights[::stride] * stride)
+
+
+@inner
 def _thin(scene, rows, count):
     """About ``count`` of the rows, evenly strided, with weights that keep their sum."""
     stride = max(1, (rows.shape[0] + count - 1) // count)

@@ -346,11 +346,15 @@ def follow(body, ground, field, limits, course):
     coarse, fine = limits.coarse_gate_m, limits.gate_m
     base = registration.Base(0.0, fine if limits.stretch > 0 else 0.0)
     off, at = 0.0, 0
-    for gate in (coarse, math.sqrt(coarse * fine), fine):
+    first = registration.FIRST_POINTS
+    gates = ((coarse, first), (math.sqrt(coarse * fine), 2 * first), (fine, FINE_POINTS))
+    for gate, most in gates:
+        stride = max(1, -(-len(body.xyz) // most))
+        some = Points(body.xyz[::stride], body.weights[::stride] * stride)
         hides = hides_ground(ground, field, course[at], gate + 0.5 * fine)
         for _ in range(registration.STEPS):
             made = step(
-                body, ground, field, course[at], gate, 0.5 * fine, hides, limits.stretch, base
+                some, ground, field, course[at], gate, 0.5 * fine, hides, limits.stretch, base
             )
             if made is None or at + 1 == len(course):
                 return off, at
