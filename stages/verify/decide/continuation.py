@@ -10,14 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from spinpipe.stages.verify.evidence.outline import GOES_ON, SIDES
+
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-SIDES = ("front", "left", "back", "right")
-"""In the order of the evidence: +x, +y, -x and -y of the object."""
-GOES_ON = 0.5
-"""A body goes on where a surface is level with it along at least this share of a side."""
 BEYOND = np.array([0.2, 0.5, 0.9])
 """Where outside a side a neighbour is looked for, in half extents of the narrow side or in
 ``BRIDGED`` heights, whichever is more."""
@@ -27,6 +25,11 @@ seen from within 30 degrees of straight above only."""
 ALONG = np.array([-0.5, 0.0, 0.5])
 INTERIOR = np.stack(np.meshgrid([-0.8, -0.4, 0.0, 0.4, 0.8], [-0.8, -0.4, 0.0, 0.4, 0.8]), -1)
 """Places in a body, in half extents."""
+FARTHER = 0.1
+"""A fit that stands so far beyond a side, in extents, is not the same one: chosen."""
+SHARED = 1 / 3
+"""Share of the body that it must have in common to be no neighbour: chosen; moved by half of the
+body it shares half."""
 COMMON = 0.15
 """Share of either body's interior that neighbours may have in common; rivals have more."""
 
@@ -54,15 +57,31 @@ def explained_sides(poses: F64, sizes: F64, near_poses: F64, near_sizes: F64) ->
     return np.asarray(2 * covered.any(axis=2).sum(axis=2) >= len(ALONG))
 
 
-def first_continuing(levels: F64, explained: Flags) -> list[str]:
+def fits_farther_on(pose: F64, size: F64, others: F64) -> Flags:
+    """Whether the model fits beyond each side of a fit, in part where it already fits: (4,).
+
+    Parameters
+    ----------
+    pose, size : (4,) x, y, z of the base centre and yaw; (3,) extents, metres.
+    others : (R, 4) other fits of the same model that are as good as instances.
+    """
+    cos, sin = np.cos(pose[3]), np.sin(pose[3])
+    moved = (others[:, :2] - pose[:2]) @ np.array([[cos, -sin], [sin, cos]]) / size[:2]
+    shared = np.prod(np.clip(1.0 - np.abs(moved), 0.0, None), axis=1) >= SHARED
+    onward = np.concatenate([moved, -moved], axis=1)
+    return np.asarray((shared[:, None] & (onward > FARTHER)).any(axis=0))
+
+
+def first_continuing(levels: F64, explained: Flags, farther: Flags) -> list[str]:
     """The first side of each fit where a body goes on that no other instance explains, or "".
 
     Parameters
     ----------
     levels : (S, 4) share of each side where a level surface goes on.
     explained : (S, 4), see ``explained_sides``.
+    farther : (S, 4), see ``fits_farther_on``: what only touches an instance is another body.
     """
-    goes_on = (levels >= GOES_ON) & ~explained
+    goes_on = (levels >= GOES_ON) & ~explained & farther
     return [SIDES[np.argmax(row)] if row.any() else "" for row in goes_on]
 
 

@@ -10,11 +10,16 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.stages.verify.decide.continuation import SIDES, explained_sides, first_continuing
+from spinpipe.stages.verify.decide.continuation import (
+    explained_sides,
+    first_continuing,
+    fits_farther_on,
+)
 from spinpipe.stages.verify.decide.group import judged_by_group
 from spinpipe.stages.verify.decide.neighbours import explain_neighbours, standing
 from spinpipe.stages.verify.decide.verdict import Cause, Fate, Rules, Verdict
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
+from spinpipe.stages.verify.evidence.outline import SIDES
 from spinpipe.stages.verify.judge.examiner import Examiner
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
 from spinpipe.stages.verify.judge.scoring import PARTS
@@ -23,6 +28,8 @@ from spinpipe.stages.verify.model.known_object import KnownObject
 F64 = NDArray[np.float64]
 
 
+AS_GOOD = 3.0
+"""Log odds by which a fit farther on may be worse, one in twenty: chosen."""
 NO_ODDS = -99.0
 """Log odds where there is nothing to judge."""
 
@@ -34,13 +41,20 @@ def decide(examiner: Examiner, table: Hypotheses, places: F64, rules: Rules) -> 
     table = judged_by_group(examiner, table, near.best.rows(near.displaced_by < 0))
     near = standing(examiner, table, rules.min_score)  # scores have changed
     best = near.best
+    rows_of = table.rows_of_candidates(len(places))
+    sizes = examiner.sizes(best)
+    farther = np.zeros((len(sizes), len(SIDES)), np.bool_)
+    for k, rows in enumerate([rows_of[c] for c in best.candidate]):
+        as_good = (table.model[rows] == best.model[k]) & (table.odds[rows] > best.odds[k] - AS_GOOD)
+        farther[k] = fits_farther_on(best.pose[k, :4], sizes[k], table.pose[rows[as_good], :4])
     continuing = first_continuing(
         best.evidence[:, [EVIDENCE.index(f"{side}_level") for side in SIDES]],
-        explained_sides(best.pose[:, :4], examiner.sizes(best), near.poses, near.sizes),
+        explained_sides(best.pose[:, :4], sizes, near.poses, near.sizes),
+        farther,
     )
     position = {int(c): k for k, c in enumerate(best.candidate)}
     verdicts: list[Verdict] = []
-    for candidate, rows in enumerate(table.rows_of_candidates(len(places))):
+    for candidate, rows in enumerate(rows_of):
         k = position.get(candidate)
         if k is None:
             verdicts.append(_nothing_there(candidate, places[candidate]))

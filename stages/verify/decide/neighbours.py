@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logit
 
-from spinpipe.stages.verify.decide.continuation import SIDES, explained_sides
+from spinpipe.stages.verify.decide.continuation import explained_sides
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
-from spinpipe.stages.verify.evidence.outline import TOUCHED
+from spinpipe.stages.verify.evidence.outline import SIDES, TOUCHED
 from spinpipe.stages.verify.judge.examiner import WORTH_A_SECOND_LOOK, Examiner
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
 from spinpipe.stages.verify.judge.resolve import resolve

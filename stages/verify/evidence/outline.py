@@ -24,8 +24,10 @@ FAR = 0.5
 """How far from the outline what the object stands on is looked for, in half widths: chosen."""
 DEEP = 0.2
 """How far below the base, as a share of the height, the scene shows that nothing stands there."""
-SIDES = 4
-"""Front, left, back and right: +x, +y, -x and -y of the object."""
+GOES_ON = 0.5
+"""A body goes on where a surface is level with it along at least this share of a side."""
+SIDES = ("front", "left", "back", "right")
+"""In the order of the evidence: +x, +y, -x and -y of the object."""
 
 
 class Outline(NamedTuple):
@@ -120,10 +122,10 @@ def outline_evidence(grid, field, pose, gate):
     )
     height = field.size[2] * pose.stretch_z
     deep_m = max(gate, DEEP * height)
-    drops = np.zeros(SIDES)
-    levels = np.zeros(SIDES)
-    observed = np.zeros(SIDES)
-    whole = np.zeros(SIDES)
+    drops = np.zeros(len(SIDES))
+    levels = np.zeros(len(SIDES))
+    observed = np.zeros(len(SIDES))
+    whole = np.zeros(len(SIDES))
     at_base = 0
     deeper = 0
     tall = field.outline_height > TALL * field.size[2]
@@ -154,10 +156,10 @@ def outline_evidence(grid, field, pose, gate):
     seen = observed.sum()
     if seen == 0.0:
         return Outline(0.0, 0.0, grounded, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0)
-    share = np.ones(SIDES)
-    level_share = np.zeros(SIDES)
+    share = np.ones(len(SIDES))
+    level_share = np.zeros(len(SIDES))
     drop, weight = 0.0, 0.0
-    for side in range(SIDES):
+    for side in range(len(SIDES)):
         drop += drops[side] / max(whole[side], 1.0)
         weight += observed[side] / max(whole[side], 1.0)
         if observed[side] >= max(0.5 * whole[side], 1.0):

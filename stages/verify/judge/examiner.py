@@ -25,6 +25,8 @@ from spinpipe.stages.geometry.support import (
     support_halo_m,
 )
 from spinpipe.stages.threads import map_threads
+from spinpipe.stages.verify.evidence.gather import EVIDENCE
+from spinpipe.stages.verify.evidence.outline import GOES_ON, SIDES
 from spinpipe.stages.verify.fit.coarse_bounds import has_long_top
 from spinpipe.stages.verify.judge.hypotheses import (
     Course,
@@ -198,6 +200,7 @@ class Examiner:
         block = self.block(points, places, proposed)
         again = self._refined(block, best, best.model, best.pose, threads)
         table = Hypotheses.joined([again, self._rivals(block, again, threads)])
+        table = Hypotheses.joined([table, self._farther_on(block, table, threads)])
         return Examination(table, self._courses(block, table))
 
     def block(self, points: NDArray[np.floating], places: F64, proposed: I64) -> Block:
@@ -244,6 +247,24 @@ class Examiner:
                 pose.append(start)
         owners = found.rows(np.concatenate(owner))
         return self._refined(block, owners, np.concatenate(model), np.concatenate(pose), threads)
+
+    def _farther_on(self, block: Block, table: Hypotheses, threads: int) -> Hypotheses:
+        """Likely fits of rigid models half their extent farther on where a level body goes on.
+
+        In a part of a larger body the model fits there as well, beside a body that it touches not.
+        """
+        fits = table.rows(table.best_rows())
+        levels = fits.evidence[:, [EVIDENCE.index(f"{side}_level") for side in SIDES]]
+        rigid = (fits.odds >= LIKELY) & (self.stretch[fits.model] == 0)
+        rows, sides = np.nonzero((levels >= GOES_ON) & rigid[:, None])
+        moved = fits.rows(rows)
+        yaw = moved.pose[:, 3] + sides * math.pi / 2
+        length = self.sizes(moved)[np.arange(len(rows)), sides % 2] / 2
+        level = np.column_stack([length * np.cos(yaw), length * np.sin(yaw), np.zeros(len(rows))])
+        start = moved.pose.copy()
+        for row, (lean, shift) in enumerate(zip(moved.lean, level, strict=True)):
+            start[row, :3] += leaning(lean) @ shift
+        return self._refined(block, moved, moved.model, start, threads)
 
     def _like(self, m: int, top_m: float) -> I64:
         """Other models that may stretch and be as high as a candidate is above its support."""

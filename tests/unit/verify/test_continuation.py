@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from spinpipe.stages.verify.decide.continuation import explained_sides, first_continuing
+from spinpipe.stages.verify.decide.continuation import (
+    explained_sides,
+    first_continuing,
+    fits_farther_on,
+)
 
 SIZE = np.array([[2.0, 1.0, 0.8]])
 FIT = np.array([[3.0, 4.0, 0.0, np.pi / 2]])
@@ -29,16 +33,30 @@ def test_it_is_the_same_for_many_fits_at_once() -> None:
     assert explained_sides(poses, sizes, near, sizes)[:, 1].all()
 
 
-def test_a_level_surface_goes_on_unless_an_instance_explains_it() -> None:
+def test_the_model_fits_farther_on_where_it_is_a_part() -> None:
+    onward = FIT - [0.0, 0.5, 0.0, 0.0]  # half of its length back, -y of the world
+    assert fits_farther_on(FIT[0], SIZE[0], onward).tolist() == [False, False, True, False]
+    corner = FIT + [-0.3, -0.5, 0.0, np.pi]  # a corner of a larger body, however turned
+    assert fits_farther_on(FIT[0], SIZE[0], corner).tolist() == [False, True, True, False]
+
+
+def test_neither_itself_nor_a_neighbour_is_farther_on() -> None:
+    for other in (FIT + [0.05, 0.05, 0.0, 0.1], FIT - [0.0, 1.6, 0.0, 0.0], np.empty((0, 4))):
+        assert not fits_farther_on(FIT[0], SIZE[0], other).any()
+
+
+def test_a_level_surface_goes_on_where_the_model_fits_and_no_instance_explains_it() -> None:
     levels = np.array([[0.1, 0.9, 0.0, 0.0]])
-    assert first_continuing(levels, np.zeros((1, 4), bool)) == ["left"]
-    assert first_continuing(levels, np.array([[False, True, False, False]])) == [""]
-    assert first_continuing(np.full((1, 4), 0.2), np.zeros((1, 4), bool)) == [""]
+    none, all_sides = np.zeros((1, 4), bool), np.ones((1, 4), bool)
+    assert first_continuing(levels, none, all_sides) == ["left"]
+    assert first_continuing(levels, np.array([[False, True, False, False]]), all_sides) == [""]
+    assert first_continuing(levels, none, none) == [""]
+    assert first_continuing(np.full((1, 4), 0.2), none, all_sides) == [""]
 
 
 def test_nothing_to_judge() -> None:
     empty = np.zeros((0, 4))
     none = explained_sides(empty, np.zeros((0, 3)), FIT, SIZE)
     assert none.shape == (0, 4)
-    assert first_continuing(empty, none) == []
+    assert first_continuing(empty, none, none) == []
     assert not explained_sides(FIT, SIZE, empty, np.zeros((0, 3))).any()

@@ -124,6 +124,20 @@ def test_what_goes_on_beyond_the_outline_is_no_instance():
     assert fates == {"rejected"}
 
 
+def test_a_part_of_a_larger_body_is_ambiguous_what_only_touches_one_is_found():
+    """A crate beside a block as high, and a block of twice its length and width."""
+    crate, wide = box(1.2, 0.8, 0.9), box(2.4, 1.6, 0.9)
+    objects = [
+        placed(crate, (-4, 0, 0), 0),
+        placed(box(0.9, 1.5, 0.9), (-4.1, 1.15, 0), 0),
+        placed(wide, (4, 0, 0), 30),
+    ]
+    places = [[-4, 0, 0.9], [3.5, 0.1, 0.9], [4.4, 0, 0.9]]
+    verdicts = verdicts_on(cloud_of(objects, 16, 400), [known_object("crate", crate)], places)
+    assert verdicts[0].fate == "accepted", verdicts[0].reason
+    assert [v.cause for v in verdicts[1:]] == ["continues", "continues"]
+
+
 def test_seen_from_above_under_a_roof_or_cut_by_the_border(cars):
     car = placed(Mesh(*vehicle_mesh("saloon")), (0, 0, 0), 30)
     place = [[0.0, 0.0, 1.42]]
