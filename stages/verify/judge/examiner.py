@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,7 +154,9 @@ class Examiner:
                     seen.rows(np.array([fit])), places[waiting], proposed[waiting]
                 )
                 copies = seen.rows(np.full(np.count_nonzero(known), fit))
-                looks = Hypotheses.joined([looks, replace(copies, candidate=waiting[known])])
+                # each stands on what is below itself: the first one's support may be a worse one
+                again = self._refined(block, waiting[known], copies.model, copies.pose, threads)
+                looks = Hypotheses.joined([looks, again])
                 waiting = waiting[~known]
         return looks
 
@@ -172,15 +174,15 @@ class Examiner:
         return Hypotheses.joined([seen, self._judged(block, scene, c, like, start)])
 
     def _explains(self, fit: Hypotheses, places: F64, proposed: I64) -> NDArray[np.bool_]:
-        """Whether candidates lie on the surface of a fit of one of their models, well inside."""
-        m, pose, gate_m = int(fit.model[0]), fit.pose[0], self.limits[int(fit.model[0])].gate_m
+        """Whether candidates lie on the surface of a fit of their model, well inside a long top."""
+        m, pose = int(fit.model[0]), fit.pose[0]
+        gate_m = self.limits[m].gate_m
         x, y, z = ((places - pose[:3]) @ leaning(fit.lean[0])).T
         cos, sin = math.cos(pose[3]), math.sin(pose[3])
         u = np.column_stack([cos * x + sin * y, cos * y - sin * x, z])
         inside = np.abs(u[:, :2]) < self.sizes(fit)[0, :2] / 2 - gate_m
-        kin = (proposed == m) | ((self.stretch[proposed] > 0) & (self.stretch[m] > 0))
         near = self.fields[m].distances(u / pose[4:7]) < gate_m
-        return kin & inside.all(axis=1) & near
+        return (proposed == m) & inside.all(axis=1) & near & has_long_top(self.fields[m])
 
     def examine(
         self,
@@ -198,7 +200,7 @@ class Examiner:
         if len(points) == 0 or len(best.model) == 0:
             return Examination(Hypotheses.none(), {})
         block = self.block(points, places, proposed)
-        again = self._refined(block, best, best.model, best.pose, threads)
+        again = self._refined(block, best.candidate, best.model, best.pose, threads)
         table = Hypotheses.joined([again, self._rivals(block, again, threads)])
         table = Hypotheses.joined([table, self._farther_on(block, table, threads)])
         return Examination(table, self._courses(block, table))
@@ -231,7 +233,7 @@ class Examiner:
         distinct = resolve(found.pose[:, :4], self.sizes(found), found.odds, max_overlap=0.5) < 0
         found = found.rows(distinct)
         size = self.sizes(found)
-        owner, model, pose = [], [], []
+        candidate, model, pose = [], [], []
         for m, known in enumerate(self.objects):
             wanted = size[:, 2] / known.field.size[2]
             slack = known.stretch + BASE_SLACK
@@ -242,11 +244,12 @@ class Examiner:
                 start[:, :3] = found.pose[fits, :3]
                 start[:, 3] = found.pose[fits, 3] + quarter * math.pi / 2
                 start[:, 6] = tall
-                owner.append(fits)
+                candidate.append(found.candidate[fits])
                 model.append(np.full(len(fits), m))
                 pose.append(start)
-        owners = found.rows(np.concatenate(owner))
-        return self._refined(block, owners, np.concatenate(model), np.concatenate(pose), threads)
+        return self._refined(
+            block, np.concatenate(candidate), np.concatenate(model), np.concatenate(pose), threads
+        )
 
     def _farther_on(self, block: Block, table: Hypotheses, threads: int) -> Hypotheses:
         """Likely fits of rigid models half their extent farther on where a level body goes on.
@@ -264,7 +267,7 @@ class Examiner:
         start = moved.pose.copy()
         for row, (lean, shift) in enumerate(zip(moved.lean, level, strict=True)):
             start[row, :3] += leaning(lean) @ shift
-        return self._refined(block, moved, moved.model, start, threads)
+        return self._refined(block, moved.candidate, moved.model, start, threads)
 
     def _like(self, m: int, top_m: float) -> I64:
         """Other models that may stretch and be as high as a candidate is above its support."""
@@ -280,19 +283,18 @@ class Examiner:
         return (0, 2) if max(length, width) > LONG * min(length, width) else (0, 1, 2, 3)
 
     def _refined(
-        self, block: Block, of: Hypotheses, model: I64, start: F64, threads: int
+        self, block: Block, candidate: I64, model: I64, start: F64, threads: int
     ) -> Hypotheses:
-        """Hypotheses refined from starts (S, 7), world, for the candidates of others; scored."""
-        order = np.argsort(of.place, kind="stable")
-        places, first = np.unique(of.place[order], return_index=True)
-        groups = np.split(order, first[1:]) if len(places) else []
+        """Hypotheses refined from their starts (S, 7), world, and scored."""
+        order = np.argsort(candidate, kind="stable")
+        owners, first = np.unique(candidate[order], return_index=True)
+        groups = np.split(order, first[1:]) if len(owners) else []
 
         def judge(group: I64) -> Hypotheses:
-            c = int(of.place[group[0]])
+            c = int(candidate[group[0]])
             place = block.places[c]
             scene = place.scene(block.grid, max(self.scene_m))
-            seen = self._judged(block, scene, c, model[group], place.from_world(start[group]))
-            return replace(seen, candidate=of.candidate[group])
+            return self._judged(block, scene, c, model[group], place.from_world(start[group]))
 
         return Hypotheses.joined(list(map_threads(judge, groups, threads)))
 
@@ -316,7 +318,6 @@ class Examiner:
             return Hypotheses.none()
         return Hypotheses(
             candidate=np.full(len(model), candidate),
-            place=np.full(len(model), candidate),
             model=model,
             start=place.to_world(start),
             pose=place.to_world(pose),
@@ -342,7 +343,7 @@ class Examiner:
         courses: dict[int, list[Course]] = {}
         for k in rows[table.odds[rows] >= WORTH_A_SECOND_LOOK].tolist():
             m, c = int(table.model[k]), int(table.candidate[k])
-            place = block.places[table.place[k]]
+            place = block.places[c]
             scene = place.scene(block.grid, max(self.scene_m))
             start = place.from_world(table.start[[k]])[0]
             way = course_of(scene, self.fields[m], self.limits[m], start)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +19,12 @@ from spinpipe.stages.verify.model.pose import POSE
 class Hypotheses:
     """Hypotheses as columns: which candidate, which model, from where to where, how good.
 
-    ``place`` (S,) is the candidate in the frame of whose support each was judged: the one itself,
-    or one whose fit explains it too. ``start`` and ``pose`` (S, 7) are in the world; ``lean``
-    (S, 2) are the slopes of what the object stands on; ``odds`` (S,) is the logarithm of the odds
-    that it is an instance, ``alone`` the same without what its neighbours explain.
+    ``start`` and ``pose`` (S, 7) are in the world; ``lean`` (S, 2) are the slopes of what the
+    object stands on; ``odds`` (S,) is the logarithm of the odds that it is an instance, ``alone``
+    the same without what its neighbours explain.
     """
 
     candidate: I64
-    place: I64
     model: I64
     start: F64
     pose: F64
@@ -50,10 +48,6 @@ class Hypotheses:
         """Some of the hypotheses, by index or by mask."""
         return Hypotheses(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
-    def renumbered(self, number: Callable[[I64], I64]) -> Hypotheses:
-        """The same hypotheses about candidates of other numbers."""
-        return replace(self, candidate=number(self.candidate), place=number(self.place))
-
     def best_rows(self) -> I64:
         """Row of the best hypothesis of each candidate that has any, by candidate."""
         order = np.lexsort((-self.rank, self.candidate))
@@ -73,8 +67,7 @@ class Hypotheses:
         pose, lean, parts, evidence = (
             np.empty((0, n)) for n in (POSE, 2, len(PARTS), len(EVIDENCE))
         )
-        odds = np.empty(0)
-        return Hypotheses(rows, rows, rows, pose, pose, lean, parts, evidence, odds, odds)
+        return Hypotheses(rows, rows, pose, pose, lean, parts, evidence, np.empty(0), np.empty(0))
 
     @staticmethod
     def joined(tables: Sequence[Hypotheses]) -> Hypotheses:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeAlias
 
@@ -93,7 +93,7 @@ class Search:
             map_blocks(partial(_look, self._task(examiner)), rows_of_blocks),
             strict=True,
         ):
-            looks.append(seen.renumbered(rows.take))
+            looks.append(replace(seen, candidate=rows[seen.candidate]))
             advance(len(rows))
         first = Hypotheses.joined(looks)
         first = first.rows(examiner.chosen_rows(first, WORTH_ANOTHER_PLACE))
@@ -104,7 +104,7 @@ class Search:
         courses: dict[int, list[Course]] = {}
         examined = map_blocks(partial(_examine, self._task(examiner)), jobs)
         for (rows, _), seen in zip(jobs, examined, strict=True):
-            tables.append(seen.table.renumbered(rows.take))
+            tables.append(replace(seen.table, candidate=rows[seen.table.candidate]))
             courses |= {int(rows[k]): course for k, course in seen.courses.items()}
             advance(len(rows))
         return Found(examiner, Hypotheses.joined(tables), courses)
@@ -117,7 +117,7 @@ class Search:
         jobs: list[tuple[I64, Hypotheses]] = []
         for rows in rows_of_blocks:
             own = best.rows(np.concatenate([rows_of[c] for c in rows]))
-            jobs.append((rows, own.renumbered(partial(np.searchsorted, rows))))
+            jobs.append((rows, replace(own, candidate=np.searchsorted(rows, own.candidate))))
         return jobs
 
     def _task(self, examiner: Examiner) -> _Task:
