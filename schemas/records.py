@@ -8,6 +8,7 @@ model upright in metres, base centre at the origin.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -142,7 +143,7 @@ class ObjectModel:
     stretch: float = 0.0
     """Largest relative change of length along each axis; 0 for a rigid object."""
 
-    @property
+    @cached_property
     def size(self) -> F32:
         """(3,) extents of the whole object, seen or not, metres."""
         return np.ptp(self.vertices if len(self.vertices) else self.points, axis=0)

@@ -67,11 +67,7 @@ class FaceGrid(NamedTuple):
         Faces cover whichever side they turn, their borders included. A face that the ray lies in
         covers nothing.
         """
-        turned = np.ascontiguousarray(self.corners @ towards.T)  # the ray is the vertical there
-        return _open_towards(
-            np.ascontiguousarray(points), np.ascontiguousarray(points @ towards.T), towards[2],
-            turned, self.low, self.step, self.cells, self.starts, self.members, self.tolerance,
-        )  # fmt: skip
+        return _open_towards(np.ascontiguousarray(points), towards[2], *self)
 
 
 def seen_from_above(points: F64, grid: FaceGrid) -> Mask:
@@ -167,9 +163,8 @@ def _fill_members(
 @njit(cache=True, nogil=True)
 def _open_towards(
     points: F64,
-    turned_points: F64,
     ray: F64,
-    turned_corners: F64,
+    corners: F64,
     low: F64,
     step: float,
     cells: I64,
@@ -177,7 +172,7 @@ def _open_towards(
     members: I64,
     tolerance: float,
 ) -> Mask:
-    """Walk each ray from cell to cell [Amanatides & Woo 1987]; turned so that it is vertical."""
+    """Walk each ray from cell to cell [Amanatides & Woo 1987]."""
     free = np.ones(len(points), np.bool_)
     cell, side, until, each = np.empty(3, np.int64), np.zeros(3, np.int64), np.empty(3), np.empty(3)
     for n in range(len(points)):
@@ -195,7 +190,7 @@ def _open_towards(
         while free[n]:
             here = (cell[0] * cells[1] + cell[1]) * cells[2] + cell[2]
             for k in range(starts[here], starts[here + 1]):
-                if _is_below(turned_points[n], turned_corners[members[k]], tolerance):
+                if _hit(points[n], ray, corners[members[k]], tolerance):
                     free[n] = False
                     break
             axis = int(np.argmin(until))
@@ -207,18 +202,20 @@ def _open_towards(
 
 
 @njit(cache=True, nogil=True)
-def _is_below(point: F64, face: F64, tolerance: float) -> bool:
-    """Whether a face lies straight above a point."""
-    x, y = point[0], point[1]
-    ax, ay, bx, by = face[0, 0] - x, face[0, 1] - y, face[1, 0] - x, face[1, 1] - y
-    cx, cy = face[2, 0] - x, face[2, 1] - y
-    # Barycentric coordinates of the point in the face
-    area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+def _hit(point: F64, ray: F64, face: F64, tolerance: float) -> bool:
+    """Whether a face lies ahead of a point [Moeller & Trumbore 1997]."""
+    ax, ay, az = face[0, 0], face[0, 1], face[0, 2]
+    bx, by, bz = face[1, 0] - ax, face[1, 1] - ay, face[1, 2] - az
+    cx, cy, cz = face[2, 0] - ax, face[2, 1] - ay, face[2, 2] - az
+    rx, ry, rz = ray[0], ray[1], ray[2]
+    px, py, pz = ry * cz - rz * cy, rz * cx - rx * cz, rx * cy - ry * cx
+    area = bx * px + by * py + bz * pz  # twice the face's, as seen along the ray
     if abs(area) <= tolerance * tolerance:
         return False
-    v = ((cx - ax) * ay - ax * (cy - ay)) / area
-    w = (ax * (by - ay) - (bx - ax) * ay) / area
+    dx, dy, dz = point[0] - ax, point[1] - ay, point[2] - az
+    v = (dx * px + dy * py + dz * pz) / area
+    qx, qy, qz = dy * bz - dz * by, dz * bx - dx * bz, dx * by - dy * bx
+    w = (rx * qx + ry * qy + rz * qz) / area
     if min(v, w, 1 - v - w) < -1e-9:
         return False
-    height = face[0, 2] + v * (face[1, 2] - face[0, 2]) + w * (face[2, 2] - face[0, 2])
-    return height - point[2] > tolerance
+    return (cx * qx + cy * qy + cz * qz) / area > tolerance

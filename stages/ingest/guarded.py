@@ -21,10 +21,12 @@ T = TypeVar("T")
 
 MOST_POINTS = 1 << 18
 """To be read at once: with 300 bytes a point they take a fourth of the memory below."""
-STEP_S = 10.0
-"""Processor time for one result: a million points take half a second."""
-MEMORY_TIMES, MEMORY_BYTES = 4, 300_000_000
-"""What a reader may ask for beside what it has: so many times the file's size, and a constant."""
+STEP_S, BYTES_A_S = 10.0, 10e6
+"""Processor time for one result: a million points take half a second, a mesh of 80 MB two; and as
+much more as the slowest reader takes for the whole file."""
+MEMORY_TIMES, MEMORY_BYTES = 16, 300_000_000
+"""What a reader may ask for beside what it has: so many times the file's size, and a constant. STL
+of 82 MB takes 760 MB (``tests/unit/ingest/test_formats.py``)."""
 
 
 def guarded(function: Callable[..., Iterator[T]], path: Path, *arguments: Any) -> Generator[T]:
@@ -83,16 +85,18 @@ def _serve(
     try:
         signal.signal(signal.SIGPROF, signal.SIG_DFL)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # what it says as it dies is not for users
-        most = _memory() + MEMORY_TIMES * path.stat().st_size + MEMORY_BYTES
+        size = path.stat().st_size
+        limit_s = STEP_S + size / BYTES_A_S
+        most = _memory() + MEMORY_TIMES * size + MEMORY_BYTES
         resource.setrlimit(resource.RLIMIT_DATA, (most, resource.RLIM_INFINITY))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         with os.fdopen(writer, "wb") as stream:
             try:
-                signal.setitimer(signal.ITIMER_PROF, STEP_S)
+                signal.setitimer(signal.ITIMER_PROF, limit_s)
                 for value in function(path, *arguments):
                     signal.setitimer(signal.ITIMER_PROF, 0)
                     _send(stream, "value", value)
-                    signal.setitimer(signal.ITIMER_PROF, STEP_S)
+                    signal.setitimer(signal.ITIMER_PROF, limit_s)
                 _send(stream, "end", None)
             except StageError as error:
                 # its text alone: some libraries pickle causes too, and not all causes can be
@@ -120,7 +124,7 @@ def _end(child: int) -> str:
     _, status = os.waitpid(child, 0)
     code = os.waitstatus_to_exitcode(status)
     if code == -signal.SIGPROF:
-        return f"its reader found nothing in {STEP_S:.0f} s"
+        return f"its reader found nothing in {STEP_S:.0f} s or more"
     return f"its reader broke down ({signal.Signals(-code).name if code < 0 else 'no result'})"
 
 

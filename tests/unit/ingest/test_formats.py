@@ -209,6 +209,19 @@ def test_ply_polygons_agree_with_trimesh(tmp_path: Path, encoding: str) -> None:
     assert open_model(path, None, None).closed
 
 
+def test_a_million_faces_are_no_attack(tmp_path: Path) -> None:
+    """STL repeats every corner; its library takes nine times the file's size for a while."""
+    faces = np.zeros(
+        1_600_000, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("_", "<u2")])
+    )
+    faces["corners"] = np.random.default_rng(0).random((len(faces), 3, 3), np.float32)
+    path = tmp_path / "large.stl"
+    path.write_bytes(bytes(80) + np.uint32(len(faces)).tobytes() + faces.tobytes())
+    mesh = read_mesh(path, "stl")
+    assert mesh is not None
+    assert len(mesh.faces) == len(faces)
+
+
 def test_a_mesh_as_a_scene_is_sampled_and_said(tmp_path: Path) -> None:
     box: Any = trimesh.creation.box(extents=(4, 2, 1))
     box.visual.vertex_colors = np.tile([[10, 20, 30, 255]], (8, 1))
