@@ -16,6 +16,8 @@ from spinpipe.pipeline.drawing.closeup import SIGHT, WHAT, Closeup
 from spinpipe.schemas.arrays import F64, U8
 
 SIDE_PX = 112
+EMPTY_M = 1.0
+"""Shown around a candidate where nothing stands, to each side."""
 VIEWS = ("from above, as photographed", "from the side, explained or not", "model, seen or not")
 COLUMNS = 6
 """Candidates side by side."""
@@ -44,7 +46,7 @@ def sprite_sheet(closeups: Iterable[Closeup]) -> tuple[bytes, int]:
 def _views(c: Closeup) -> list[U8]:
     """Squares (SIDE_PX, SIDE_PX, 3): from above, from the side, the model's surface from above."""
     length, width, height = c.detection.size_m
-    reach = 0.5 * length + 0.3 * max(length, width)
+    reach = 0.5 * length + 0.3 * max(length, width) or EMPTY_M  # no size where nothing stands
     scale = SIDE_PX / (2 * reach)
     rising = np.argsort(c.xyz[:, 2], kind="stable")
     above = _plot(c.xyz[rising, 0], c.xyz[rising, 1], c.rgb[rising], scale)

@@ -9,21 +9,28 @@ from __future__ import annotations
 import os
 import pickle
 import resource
+import select
 import signal
+import struct
+import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
+from io import FileIO
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
 from spinpipe.stages.stage import StageError
 
 T = TypeVar("T")
+_LENGTH = struct.Struct("<q")
 
 MOST_POINTS = 1 << 18
 """To be read at once: with 300 bytes a point they take a fourth of the memory below."""
 STEP_S, BYTES_A_S = 10.0, 10e6
 """Processor time for one result: a million points take half a second, a mesh of 80 MB two; and as
 much more as the slowest reader takes for the whole file."""
+STILL_S, WATCH_S = 60.0, 0.5
+"""A reader that sleeps for so long waits for what will not come; how often it is looked at."""
 MEMORY_TIMES, MEMORY_BYTES = 16, 300_000_000
 """What a reader may ask for beside what it has: so many times the file's size, and a constant. STL
 of 82 MB takes 760 MB (``tests/unit/ingest/test_formats.py``)."""
@@ -48,12 +55,14 @@ def guarded(function: Callable[..., Iterator[T]], path: Path, *arguments: Any) -
         _serve(writer, function, path, arguments)
     os.close(writer)
     try:
-        with os.fdopen(reader, "rb") as stream:
+        with os.fdopen(reader, "rb", buffering=0) as stream:
             while True:
                 try:
-                    kind, value = pickle.load(stream)
+                    kind, value = pickle.loads(_received(stream, child))
                 except (EOFError, pickle.UnpicklingError):
                     raise StageError(f"{path}: {_end(child)}; copy or export it again") from None
+                except TimeoutError as error:
+                    raise StageError(f"{path}: {error}; copy or export it again") from None
                 if kind == "end":
                     return
                 if kind == "error":
@@ -109,8 +118,48 @@ def _serve(
 
 
 def _send(stream: BinaryIO, kind: str, value: object) -> None:
-    pickle.dump((kind, value), stream, protocol=5)
+    data = pickle.dumps((kind, value), protocol=5)
+    stream.write(_LENGTH.pack(len(data)))
+    stream.write(data)
     stream.flush()
+
+
+def _received(stream: FileIO, child: int) -> bytearray:
+    """What was sent next.
+
+    Raises
+    ------
+    EOFError
+        When the child has ended.
+    TimeoutError
+        When it sleeps on: a lock that no thread of its own holds, say.
+    """
+    (length,) = _LENGTH.unpack(_bytes(stream, child, _LENGTH.size))
+    return _bytes(stream, child, length)
+
+
+def _bytes(stream: FileIO, child: int, count: int) -> bytearray:
+    data = bytearray(count)
+    view = memoryview(data)
+    awake, at = _awake(child), time.monotonic()
+    while len(view):
+        if select.select([stream], [], [], WATCH_S)[0]:
+            read = stream.readinto(view)
+            if not read:
+                raise EOFError
+            view = view[read:]
+            at = time.monotonic()
+        elif (now := _awake(child)) != awake:
+            awake, at = now, time.monotonic()
+        elif time.monotonic() - at > STILL_S:
+            raise TimeoutError(f"its reader stood still for {STILL_S:.0f} s")
+    return data
+
+
+def _awake(pid: int) -> tuple[bytes, ...]:
+    """What changes while a process computes: processor time; and whether it sleeps."""
+    state, *fields = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()
+    return (*fields[10:12], b"" if state == b"S" else str(time.monotonic()).encode())
 
 
 def _memory() -> int:

@@ -121,7 +121,9 @@ def _points(
     """Coordinates (N, 3) and colours (N, 3) as they are, piece by piece."""
     import laspy
 
-    with readable(path, "LAS file"), laspy.open(path) as reader:
+    # in this thread: a pool that the parent has started does not live on in a fork
+    alone = laspy.LazBackend.Lazrs
+    with readable(path, "LAS file"), laspy.open(path, laz_backend=alone) as reader:
         reader.header.point_count = total  # a header may say 0
         for records in reader.chunk_iterator(points):
             xyz = np.empty((len(records), 3))

@@ -85,12 +85,23 @@ def test_what_used_to_lie_stands(
     assert facts["up"]["direction"] @ np.array(up) > np.cos(np.radians(1))
 
 
-@pytest.mark.parametrize("case", ["bad_faces.obj", "hang_colmapbin", "min_abort.laz"])
+@pytest.mark.parametrize("case", ["bad_faces.obj", "hang_colmapbin", "min_hang_vlrs.las"])
 def test_hostile_files_are_refused_in_a_line(cli: Any, shared_cases: Path, case: str) -> None:
     outcome = cli("inspect", shared_cases / "hostile" / case)
     assert outcome.code == 1
     assert case in outcome.err
     assert outcome.err.count("\n") == 1
+
+
+def test_points_all_over_a_room_hold_nothing(cli: Any, shared_cases: Path, tmp_path: Path) -> None:
+    (tmp_path / "c.toml").write_text(
+        f"[ingest]\nscene = '{shared_cases}/hostile/min_abort.laz'\n"
+        "[[model]]\nname = 'car'\nshape = 'saloon'\n"
+    )
+    outcome = cli("run", tmp_path / "c.toml", "--rerun", "off", "-o", tmp_path / "run")
+    assert outcome.code == 0, outcome.err
+    assert "accepted: none" in outcome.out
+    assert (tmp_path / "run" / "report.html").is_file()
 
 
 @pytest.mark.parametrize(
