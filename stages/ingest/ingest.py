@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from spinpipe.schemas import CALIBRATIONS, CAMERAS, CLOUD, SCENE, TILES, TRAJECTORY
 from spinpipe.schemas.arrays import F32, F64
 from spinpipe.schemas.records import CloudTile, SceneFrame, TileIndex, Vector
+from spinpipe.stages.geometry.columns import extremes
 from spinpipe.stages.ingest.known_scale import ScaleFrom, known_scale
 from spinpipe.stages.ingest.odometry import Odometry, registered
 from spinpipe.stages.ingest.open_scene import open_scene
@@ -181,8 +182,9 @@ def _write_tiles(
                     np.ascontiguousarray(points["xyz"]), np.ascontiguousarray(points["rgb"])
                 )
                 ctx.write(CLOUD, tile)
-                low.append(tile.xyz.min(axis=0))
-                high.append(tile.xyz.max(axis=0))
+                lowest, highest = extremes(tile.xyz)
+                low.append(lowest)
+                high.append(highest)
                 counts.append(len(points))
                 writing.advance(len(points))
     return TileIndex(np.stack(low), np.stack(high), np.array(counts, np.int64))

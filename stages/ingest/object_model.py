@@ -10,6 +10,7 @@ from pydantic import Field, field_validator, model_validator
 
 from spinpipe.schemas.arrays import F64
 from spinpipe.schemas.records import ObjectModel
+from spinpipe.stages.geometry.columns import extremes
 from spinpipe.stages.geometry.frames import transform
 from spinpipe.stages.geometry.seen_from_above import sample_seen, seen_from_above, seen_from_around
 from spinpipe.stages.geometry.shapes import Mesh, face_areas_and_normals
@@ -107,7 +108,7 @@ def object_model(config: ModelConfig, file: ModelFile, rng: np.random.Generator)
     where = f"[[model]] '{config.name}': {config.path}"
     T_object_model = _object_from_model(file, config.scale)
     points = transform(T_object_model, file.corners)
-    longest_m = float(np.ptp(points, axis=0).max())
+    longest_m = float(np.subtract(*extremes(points)[::-1]).max())
     if not _SIZES_M[0] <= longest_m <= _SIZES_M[1]:
         raise StageError(f"{where}: is {longest_m:.3g} m long; correct its scale, or the file")
     if file.faces is None:
@@ -152,7 +153,7 @@ def _object_from_model(file: ModelFile, scale: float) -> F64:
     T = np.eye(4)
     T[:3, :3] = scale * np.stack([forward, np.cross(up, forward), up])
     turned = transform(T, file.corners)
-    low, high = turned.min(axis=0), turned.max(axis=0)
+    low, high = extremes(turned)
     T[:3, 3] = -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
     return T
 

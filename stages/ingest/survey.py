@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 
 from spinpipe.schemas.arrays import F64, U8, Mask
 from spinpipe.schemas.records import Vector
+from spinpipe.stages.geometry.columns import extremes
 from spinpipe.stages.ingest.scene_source import SceneSource
 from spinpipe.stages.ingest.tiling import HashSample
 from spinpipe.stages.stage import Progress, StageError
@@ -139,7 +140,8 @@ def finite(source: SceneSource, chunk: int) -> Iterator[tuple[F64, U8, int]]:
     """Chunks without the points that float32 cannot hold, and how many points they had."""
     for xyz, rgb in source.chunks(chunk):
         with np.errstate(over="ignore", invalid="ignore"):
-            good = np.isfinite(xyz.astype(np.float32)).all(axis=1)
+            x, y, z = np.isfinite(xyz.astype(np.float32)).T
+            good = x & y & z
         if good.all():
             yield xyz, rgb, len(xyz)
         else:
@@ -161,8 +163,8 @@ class _Corners:
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
 
     def add(self, xyz: F64) -> None:
-        self.low = np.minimum(self.low, xyz.min(axis=0))
-        self.high = np.maximum(self.high, xyz.max(axis=0))
+        low, high = extremes(xyz)
+        self.low, self.high = np.minimum(self.low, low), np.maximum(self.high, high)
 
 
 def _kept_box(sample: F64) -> tuple[F64, F64]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.schemas.arrays import F32, F64, I64, U8, U64, Mask
+from spinpipe.stages.geometry.columns import extremes
 from spinpipe.stages.geometry.hashing import GOLDEN, mix
 
 POINT = np.dtype([("xyz", np.float32, 3), ("rgb", np.uint8, 3)])
@@ -162,8 +163,8 @@ def tiles_of(points: NDArray[np.void], most: int) -> list[NDArray[np.void]]:
     """
     if len(points) <= most:
         return [_without_copies(points[_canonical_order(points)])] if len(points) else []
-    reach = np.ptp(points["xyz"], axis=0)
-    axis = int(np.argmax(reach))
+    low, high = extremes(points["xyz"])
+    axis = int(np.argmax(high - low))
     others = [points["xyz"][:, (axis + step) % 3] for step in (2, 1, 0)]
     order = np.lexsort((*_colour_keys(points["rgb"]), *others))
     points = _without_copies(points[order])
@@ -174,15 +175,16 @@ def tiles_of(points: NDArray[np.void], most: int) -> list[NDArray[np.void]]:
 def _without_copies(points: NDArray[np.void]) -> NDArray[np.void]:
     """Ordered points of which equal ones are neighbours, without all but the first of these."""
     xyz: F32 = points["xyz"]
-    copies = np.append(False, (xyz[1:] == xyz[:-1]).all(axis=1))
+    x, y, z = (xyz[1:] == xyz[:-1]).T
+    copies = np.append(False, x & y & z)
     return points[~copies] if copies.any() else points
 
 
 def _canonical_order(points: NDArray[np.void]) -> I64:
     """Order along a Morton curve [Morton 1966]; points in one cell by coordinates and colour."""
     xyz: F32 = points["xyz"]
-    low = xyz.min(axis=0)
-    reach = float(np.max(xyz.max(axis=0) - low)) or 1.0
+    low, high = extremes(xyz)
+    reach = float(np.max(high - low)) or 1.0
     cells = ((xyz - low).astype(np.float64) * ((2**21 - 1) / reach)).astype(np.uint64)
     keys = _spread(cells[:, 0]) | _spread(cells[:, 1]) << np.uint64(1) | _spread(cells[:, 2]) << 2
     order = np.argsort(keys)
