@@ -27,7 +27,7 @@ from spinpipe.stages.stage import StageError
 
 
 @given(seed=st.integers(0, 10_000), noise_m=st.sampled_from([0.0, 0.02, 0.1, 0.2]))
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_any_orientation_and_noise(seed, noise_m):
     rng = np.random.default_rng(seed)
     scene = car_park(rng)
