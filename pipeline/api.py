@@ -37,6 +37,7 @@ from spinpipe.pipeline.results.complete import open_run_folder
 from spinpipe.pipeline.results.instances import ROW_COLUMNS, row
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.pipeline.runner import Runner
+from spinpipe.pipeline.scale_search import resolve_scale
 from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
 from spinpipe.schemas.arrays import F64, U8
 from spinpipe.schemas.records import Detection, ObjectModel
@@ -216,13 +217,16 @@ def _model(name: str, source: ModelSource, place: Path) -> dict[str, Any]:
 
 
 def _compute(config: RunConfig, folder: RunFolder) -> Found:
-    steps = make_plan(config, folder)
     threads = fitting_threads(config, recording=False)
-    with locked(folder.path), open_engine(config.execution, threads) as engine:
-        reports = Runner(config, folder, engine, Console(quiet=True)).run(steps)
+    quiet = Console(quiet=True)
+    with locked(folder.path) as outputs, open_engine(config.execution, threads) as engine:
+        outputs.claim(folder.scale)
+        config, searched = resolve_scale(config, folder, outputs, quiet, threads)
+        reports = Runner(config, folder, engine, quiet).run(make_plan(config, folder))
         read = RunReader(folder)
         models = {model.name: model for model in read(schemas.MODELS)}
         notes = {report.stage: report.notes for report in reports}
+        notes["ingest"] = searched + notes["ingest"]
         return Found(list(read(schemas.DETECTIONS)), models, notes)
 
 

@@ -19,7 +19,7 @@ from spinpipe.pipeline.engine import open_engine
 from spinpipe.pipeline.init import commented_config, filled_in, preset_config
 from spinpipe.pipeline.inspect import Facts, inspect_file, look_again
 from spinpipe.pipeline.memory import fitting_threads
-from spinpipe.pipeline.outputs import locked, require_new, write_new
+from spinpipe.pipeline.outputs import Outputs, locked, require_new, write_new
 from spinpipe.pipeline.plan import Step, make_plan
 from spinpipe.pipeline.recorder import recorder, recording_key
 from spinpipe.pipeline.results.complete import open_run_folder
@@ -27,6 +27,7 @@ from spinpipe.pipeline.results.write import results_key, write_results
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.pipeline.run_state import keys_in, require_inputs_apart, write_config
 from spinpipe.pipeline.runner import Runner, report_document
+from spinpipe.pipeline.scale_search import is_searched, remembered, resolve_scale, with_scale
 from spinpipe.pipeline.tables import detection_table, facts_table, plan_table, stage_tables
 from spinpipe.stages import STAGES
 from spinpipe.stages.ingest.vehicles import VEHICLES
@@ -71,6 +72,7 @@ def execute(
         console.print(f"{threads} threads: no more fit into execution.memory_gb", highlight=False)
     with locked(folder.path, force=force) as outputs:
         outputs.claim(*folder.files)
+        config, searched = resolve_scale(config, folder, outputs, console, threads)
         steps = make_plan(config, folder, start=start, until=until)
         keys = keys_in(folder, steps)
         if any(step.action == "run" for step in steps):  # they would no longer follow from it
@@ -93,6 +95,7 @@ def execute(
                 draw(stage, read)
 
             reports = Runner(config, folder, engine, console).run(steps, finished)
+            reports[0].notes = searched + reports[0].notes
         report = report_document(config, reports)
         text = json.dumps(report, indent=1) + "\n"
         outputs.write(folder.report, "", lambda file: file.write_text(text, encoding="utf-8"))
@@ -117,9 +120,15 @@ def plan_command(
     """``spinpipe plan``."""
     config = load_config(path, overrides)
     folder = run_folder(config, output)
-    steps: list[Step] = make_plan(config, folder, start=start, until=until)
     console = Console()
-    console.print(plan_table(steps))
+    found = remembered(config, folder, Outputs(folder.path)) if is_searched(config) else None
+    if found:
+        config = with_scale(config, found)
+    if is_searched(config):
+        console.print("the scale is searched first, then every stage runs", highlight=False)
+    else:
+        steps: list[Step] = make_plan(config, folder, start=start, until=until)
+        console.print(plan_table(steps))
     console.print(f"in {folder.path}/", highlight=False, soft_wrap=True)
     for note in look_again(config, folder, Console(stderr=True)):
         console.print(f"- {note}", highlight=False, markup=False, soft_wrap=True)

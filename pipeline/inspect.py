@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,6 +22,7 @@ from spinpipe.schemas import CAMERAS, PLANE, SAMPLING, SCENE, TILES
 from spinpipe.stages import STAGES
 from spinpipe.stages.ground.ground import format_vector
 from spinpipe.stages.ingest.file_kind import file_kind
+from spinpipe.stages.ingest.ingest import Ingest
 from spinpipe.stages.ingest.object_model import ModelConfig, object_model, read_model
 from spinpipe.stages.ingest.read_mesh import MESHES
 from spinpipe.stages.ingest.read_ply import read_header
@@ -54,6 +55,7 @@ def look(config: RunConfig, folder: Path, console: Console) -> Look:
     folder : to work in; what is there already and follows from the same is not done again.
     console : shows progress.
     """
+    config = _in_units(config)
     stages = [stage for stage in STAGES if stage.name in LOOKING and stage.name in config.stages]
     work = RunFolder(folder)
     found = Look(RunReader(work))
@@ -68,6 +70,15 @@ def look(config: RunConfig, folder: Path, console: Console) -> Look:
     except StageError as error:
         return Look(found.read, found.notes, error)
     return found
+
+
+def _in_units(config: RunConfig) -> RunConfig:
+    """A config whose scale is yet to be searched, in units of the scene and without models."""
+    section = config.stages["ingest"]
+    if not isinstance(section, Ingest.Config) or section.scale != "search":
+        return config
+    stages = {name: other for name, other in config.stages.items() if name != "model"}
+    return replace(config, stages=stages | {"ingest": section.model_copy(update={"scale": 1.0})})
 
 
 def look_again(config: RunConfig, folder: RunFolder, console: Console) -> list[str]:

@@ -53,6 +53,11 @@ class RunFolder:
         return self.path / "report.json"
 
     @property
+    def scale(self) -> Path:
+        """What a search for the scale found, with its trials."""
+        return self.path / "scale.json"
+
+    @property
     def detections_json(self) -> Path:
         """Every candidate with its fate."""
         return self.path / "detections.json"
@@ -92,4 +97,4 @@ class RunFolder:
     def files(self) -> tuple[Path, ...]:
         """Everything that a run writes."""
         stages = tuple(self.mcap(stage.name) for stage in STAGES)
-        return (*stages, *self.results, self.recording, self.config, self.report)
+        return (*stages, *self.results, self.recording, self.config, self.report, self.scale)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -28,7 +29,7 @@ from spinpipe.stages.ingest.scatter_file import ScatterFile
 from spinpipe.stages.ingest.scene_source import SceneSource
 from spinpipe.stages.ingest.survey import Survey, finite, left_out, survey, within
 from spinpipe.stages.ingest.tiling import POINT, kd_split, tiles_of
-from spinpipe.stages.stage import Context, InputPath, Scale, Section
+from spinpipe.stages.stage import Context, InputPath, Scale, Section, StageError
 
 _BYTES_A_POINT = 1000
 """Generous upper bound of the memory that one point of a chunk takes on its way."""
@@ -49,10 +50,10 @@ class Ingest:
         scene: InputPath = Field(
             description="cloud or mesh in any common format, or folder of a COLMAP model"
         )
-        scale: Scale | tuple[Scale, Scale, Scale] | None = Field(
+        scale: Scale | tuple[Scale, Scale, Scale] | Literal["search"] | None = Field(
             default=None,
             description="metres per unit of the scene, or [x, y, z] where z has another; "
-            "none: as the file says, else 1",
+            "none: as the file says, else 1; 'search': what the models are found at, from 0.2 to 5",
         )
         topic: str | None = Field(
             default=None, description="of an MCAP file that holds clouds on several"
@@ -77,6 +78,10 @@ class Ingest:
     def run(self, ctx: Context[Config]) -> None:
         """Write the cloud's tiles, then their index, the scene's frame, the cameras."""
         config = ctx.config
+        if config.scale == "search":
+            raise StageError(
+                "[ingest] scale is to be searched, which the run does before its stages"
+            )
         source = open_scene(config.scene, config.topic)
         if isinstance(source, McapSource) and source.sweeps > 1:
             source = _one_scene(source, ctx)
