@@ -101,7 +101,7 @@ def peak(trials: Sequence[Trial], best: Trial) -> ScaleFound:
     if not error <= MOST_ERROR:
         raise StageError(
             f"scale search found {_what(best)}, but uncertain by {error:.1%}: the objects are "
-            f"not all like the model; {advice}, or cut the model from the scene"
+            f"not all like the model; {advice}"
         )
     low, high = half_width(trials, best)
     return ScaleFound(
