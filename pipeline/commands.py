@@ -17,7 +17,7 @@ from spinpipe.pipeline.demo import DEMO_CONFIG, EXAMPLE_FILES, write_example
 from spinpipe.pipeline.drawing.recording import RecordMode
 from spinpipe.pipeline.engine import open_engine
 from spinpipe.pipeline.init import commented_config, filled_in, preset_config
-from spinpipe.pipeline.inspect import Facts, inspect_file, look_again
+from spinpipe.pipeline.inspect import Facts, inspect_file, is_searched, look_again
 from spinpipe.pipeline.memory import fitting_threads
 from spinpipe.pipeline.outputs import Outputs, locked, require_new, write_new
 from spinpipe.pipeline.plan import Step, make_plan
@@ -27,7 +27,7 @@ from spinpipe.pipeline.results.write import results_key, write_results
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.pipeline.run_state import keys_in, require_inputs_apart, write_config
 from spinpipe.pipeline.runner import Runner, report_document
-from spinpipe.pipeline.scale_search import is_searched, remembered, resolve_scale, with_scale
+from spinpipe.pipeline.scale_search import remembered, resolve_scale, with_scale
 from spinpipe.pipeline.tables import detection_table, facts_table, plan_table, stage_tables
 from spinpipe.stages import STAGES
 from spinpipe.stages.ingest.vehicles import VEHICLES

@@ -92,7 +92,7 @@ def _result(future: Future[Any]) -> Any:
 
 @contextmanager
 def _native_threads(threads: int) -> Generator[None]:
-    """Pools of libraries: no more than one thread beside each of ours; LAZ is read by all at once.
+    """Pools of libraries: no more than one thread beside each of ours, in Rust as many as ours.
 
     Sums of a linear algebra library come in another order with every number of threads, too.
     """

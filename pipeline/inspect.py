@@ -72,11 +72,17 @@ def look(config: RunConfig, folder: Path, console: Console) -> Look:
     return found
 
 
+def is_searched(config: RunConfig) -> bool:
+    """Whether the scale is to be searched before anything can run."""
+    section = config.stages["ingest"]
+    return isinstance(section, Ingest.Config) and section.scale == "search"
+
+
 def _in_units(config: RunConfig) -> RunConfig:
     """A config whose scale is yet to be searched, in units of the scene and without models."""
-    section = config.stages["ingest"]
-    if not isinstance(section, Ingest.Config) or section.scale != "search":
+    if not is_searched(config):
         return config
+    section = config.stages["ingest"]
     stages = {name: other for name, other in config.stages.items() if name != "model"}
     return replace(config, stages=stages | {"ingest": section.model_copy(update={"scale": 1.0})})
 

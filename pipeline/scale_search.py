@@ -21,7 +21,7 @@ from spinpipe.pipeline.atomic import scratch_folder
 from spinpipe.pipeline.config import RunConfig
 from spinpipe.pipeline.context import RunReader
 from spinpipe.pipeline.engine import Engine, open_engine
-from spinpipe.pipeline.inspect import LOOKING, look
+from spinpipe.pipeline.inspect import LOOKING, is_searched, look
 from spinpipe.pipeline.keys import code_digest, stage_key
 from spinpipe.pipeline.outputs import Outputs
 from spinpipe.pipeline.plan import make_plan
@@ -53,12 +53,6 @@ ROUNDS = 5
 SETTLED = 0.003
 _CODE = tuple(Path(__file__).with_name(name) for name in ("scale_search.py", "scale_peak.py"))
 _QUIET = Console(quiet=True, force_terminal=False)
-
-
-def is_searched(config: RunConfig) -> bool:
-    """Whether the scale is to be searched before anything can run."""
-    section = config.stages["ingest"]
-    return isinstance(section, Ingest.Config) and section.scale == "search"
 
 
 def remembered(config: RunConfig, folder: RunFolder, outputs: Outputs) -> ScaleFound | None:

@@ -21,7 +21,7 @@ _AZIMUTHS = 12
 _MOST_CELLS, _MOST_MEMBERS = 256, 50_000_000
 """Cells of the grid along its longest side, and entries of all of them together."""
 _LEAST_SHARE = 0.01
-"""Of the points drawn show, for how many are drawn at once."""
+"""Share of points that is reckoned to show at least: bounds how many are drawn at once."""
 _FACES_A_CELL = 2.0
 """About so many faces for a cell on one side of a box: a surface crosses few of the cells."""
 

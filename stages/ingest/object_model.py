@@ -108,7 +108,8 @@ def object_model(config: ModelConfig, file: ModelFile, rng: np.random.Generator)
     where = f"[[model]] '{config.name}': {config.path}"
     T_object_model = _object_from_model(file, config.scale)
     points = transform(T_object_model, file.corners)
-    longest_m = float(np.subtract(*extremes(points)[::-1]).max())
+    low, high = extremes(points)
+    longest_m = float((high - low).max())
     if not _SIZES_M[0] <= longest_m <= _SIZES_M[1]:
         raise StageError(f"{where}: is {longest_m:.3g} m long; correct its scale, or the file")
     if file.faces is None:

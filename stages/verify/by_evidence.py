@@ -15,10 +15,10 @@ from spinpipe.stages.stage import StageError
 from spinpipe.stages.threads import map_threads
 from spinpipe.stages.verify.candidates import Candidates
 from spinpipe.stages.verify.decide.decision import decide
-from spinpipe.stages.verify.decide.verdict import Rules, T_world_object, Verdict
+from spinpipe.stages.verify.decide.verdict import Rules, Verdict
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
 from spinpipe.stages.verify.judge.examiner import Examiner
-from spinpipe.stages.verify.judge.hypotheses import Course
+from spinpipe.stages.verify.judge.hypotheses import Course, T_world_object
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
 from spinpipe.stages.verify.judge.scoring import merits
 from spinpipe.stages.verify.judge.search import MapBlocks, Search

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-
-from spinpipe.stages.geometry.frames import leaning
 
 F64 = NDArray[np.float64]
 Fate = Literal["accepted", "ambiguous", "duplicate", "rejected"]
@@ -81,12 +78,3 @@ class Verdict:
     def observed(self) -> float:
         """Share of the model's visible area that the scene says anything about."""
         return self.evidence.get("supported", 0.0) + self.evidence.get("contradicted", 0.0)
-
-
-def T_world_object(pose: F64, lean: F64) -> F64:
-    """(4, 4) of a pose (7,), with the stretch, on a support of slopes (2,)."""
-    T = np.eye(4)
-    cos, sin = math.cos(pose[3]), math.sin(pose[3])
-    T[:3, :3] = leaning(lean) @ np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) * pose[4:7]
-    T[:3, 3] = pose[:3]
-    return T

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from spinpipe.schemas.arrays import F64, I64
 from spinpipe.schemas.records import Sampling
-from spinpipe.stages.geometry.frames import leaning
+from spinpipe.stages.geometry.frames import inverse, transform
 from spinpipe.stages.geometry.support import (
     Surfaces,
     find_support,
@@ -31,6 +31,7 @@ from spinpipe.stages.verify.fit.coarse_bounds import has_long_top
 from spinpipe.stages.verify.judge.hypotheses import (
     Course,
     Place,
+    T_world_object,
     coarse_poses,
     course_of,
     refine_poses,
@@ -52,8 +53,9 @@ LONG = 1.5
 WORTH_A_SECOND_LOOK = -12.0
 """Log odds from which a place is tried with all models and headings."""
 LIKELY = 0.0
-"""Log odds from which the like of a model are not tried at a first look: there all compete later.
-Where it does not fit they may; at -12 one car of 31 on a roof deck was lost."""
+"""Log odds from which a fit explains other candidates at a first look, and the like of its model
+are not tried: there all compete later. Where it does not fit they may; at -12 one car of 31 on a
+roof deck was lost."""
 WORTH_ANOTHER_PLACE = -6.0
 """Log odds from which a candidate is examined elsewhere than where it fits best, if another one
 stands there: chosen, few hypotheses gain more from a second look."""
@@ -124,6 +126,9 @@ class Examiner:
     ) -> Hypotheses:
         """Hypotheses about candidates as what proposed them, given the points within ``reach_m``.
 
+        In turns: the first around, then those around it that no likely fit explains; what one
+        explains is refined from there.
+
         Parameters
         ----------
         points : (N, 3) world.
@@ -140,20 +145,16 @@ class Examiner:
         while len(waiting):
             first = _first_around(places[waiting], reach_m[waiting])
             turn, waiting = waiting[first], waiting[~first]
-            seen = Hypotheses.joined(
-                list(
-                    map_threads(
-                        lambda c: self._look(block, c, int(proposed[c])), turn.tolist(), threads
-                    )
-                )
-            )
-            looks = Hypotheses.joined([looks, seen])
-            seen = seen.rows(seen.best_rows())
-            for fit in np.flatnonzero(seen.odds >= LIKELY).tolist():
+            jobs = [(int(c), int(proposed[c])) for c in turn]
+            seen = list(map_threads(lambda job: self._look(block, *job), jobs, threads))
+            looks = Hypotheses.joined([looks, *seen])
+            best = Hypotheses.joined(seen)
+            best = best.rows(best.best_rows())
+            for fit in np.flatnonzero(best.odds >= LIKELY).tolist():
                 known = self._explains(
-                    seen.rows(np.array([fit])), places[waiting], proposed[waiting]
+                    best.rows(np.array([fit])), places[waiting], proposed[waiting]
                 )
-                copies = seen.rows(np.full(np.count_nonzero(known), fit))
+                copies = best.rows(np.full(np.count_nonzero(known), fit))
                 # each stands on what is below itself: the first one's support may be a worse one
                 again = self._refined(block, waiting[known], copies.model, copies.pose, threads)
                 looks = Hypotheses.joined([looks, again])
@@ -175,14 +176,12 @@ class Examiner:
 
     def _explains(self, fit: Hypotheses, places: F64, proposed: I64) -> NDArray[np.bool_]:
         """Whether candidates lie on the surface of a fit of their model, well inside a long top."""
-        m, pose = int(fit.model[0]), fit.pose[0]
-        gate_m = self.limits[m].gate_m
-        x, y, z = ((places - pose[:3]) @ leaning(fit.lean[0])).T
-        cos, sin = math.cos(pose[3]), math.sin(pose[3])
-        u = np.column_stack([cos * x + sin * y, cos * y - sin * x, z])
-        inside = np.abs(u[:, :2]) < self.sizes(fit)[0, :2] / 2 - gate_m
-        near = self.fields[m].distances(u / pose[4:7]) < gate_m
-        return (proposed == m) & inside.all(axis=1) & near & has_long_top(self.fields[m])
+        m = int(fit.model[0])
+        field, gate_m = self.fields[m], self.limits[m].gate_m
+        on_model = transform(inverse(T_world_object(fit.pose[0], fit.lean[0])), places)
+        inside = (np.abs(on_model[:, :2]) < field.size[:2] / 2 - gate_m).all(axis=1)
+        near = field.distances(on_model) < gate_m
+        return (proposed == m) & inside & near & has_long_top(field)
 
     def examine(
         self,
@@ -260,14 +259,12 @@ class Examiner:
         levels = fits.evidence[:, [EVIDENCE.index(f"{side}_level") for side in SIDES]]
         rigid = (fits.odds >= LIKELY) & (self.stretch[fits.model] == 0)
         rows, sides = np.nonzero((levels >= GOES_ON) & rigid[:, None])
-        moved = fits.rows(rows)
-        yaw = moved.pose[:, 3] + sides * math.pi / 2
-        length = self.sizes(moved)[np.arange(len(rows)), sides % 2] / 2
-        level = np.column_stack([length * np.cos(yaw), length * np.sin(yaw), np.zeros(len(rows))])
-        start = moved.pose.copy()
-        for row, (lean, shift) in enumerate(zip(moved.lean, level, strict=True)):
-            start[row, :3] += leaning(lean) @ shift
-        return self._refined(block, moved.candidate, moved.model, start, threads)
+        start = fits.pose[rows]
+        for k, (row, side) in enumerate(zip(rows, sides, strict=True)):
+            T = T_world_object(fits.pose[row], fits.lean[row])
+            axis, sign = side % 2, 1.0 if side < 2 else -1.0
+            start[k, :3] += T[:3, axis] * sign * self.fields[fits.model[row]].size[axis] / 2
+        return self._refined(block, fits.candidate[rows], fits.model[rows], start, threads)
 
     def _like(self, m: int, top_m: float) -> I64:
         """Other models that may stretch and be as high as a candidate is above its support."""

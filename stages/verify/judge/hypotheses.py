@@ -7,6 +7,7 @@ threads nor the other candidates change its result.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -53,6 +54,15 @@ class Place(NamedTuple):
         moved = poses.copy()
         moved[:, :3] = (poses[:, :3] - self.origin) @ self.axes
         return moved
+
+
+def T_world_object(pose: F64, lean: F64) -> F64:
+    """(4, 4) of a pose (7,), with the stretch, on a support of slopes (2,)."""
+    T = np.eye(4)
+    cos, sin = math.cos(pose[3]), math.sin(pose[3])
+    T[:3, :3] = leaning(lean) @ np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) * pose[4:7]
+    T[:3, 3] = pose[:3]
+    return T
 
 
 def coarse_poses(
