@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import chain
 from typing import Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from spinpipe.schemas import CALIBRATIONS, CAMERAS, CLOUD, SCENE, TILES, TRAJECTORY
-from spinpipe.schemas.arrays import F32, F64
+from spinpipe.schemas.arrays import F32
 from spinpipe.schemas.records import CloudTile, SceneFrame, TileIndex, Vector
 from spinpipe.stages.geometry.columns import extremes
 from spinpipe.stages.ingest.known_scale import ScaleFrom, known_scale
 from spinpipe.stages.ingest.odometry import Odometry, registered
 from spinpipe.stages.ingest.open_scene import open_scene
+from spinpipe.stages.ingest.point_blocks import to_local
 from spinpipe.stages.ingest.read_mcap import McapSource
 from spinpipe.stages.ingest.sanity import (
     believable,
@@ -26,10 +28,11 @@ from spinpipe.stages.ingest.sanity import (
     scene_line,
 )
 from spinpipe.stages.ingest.scatter_file import ScatterFile
-from spinpipe.stages.ingest.scene_source import SceneSource
+from spinpipe.stages.ingest.scene_source import SceneSource, held
 from spinpipe.stages.ingest.survey import Survey, finite, left_out, survey, within
 from spinpipe.stages.ingest.tiling import POINT, kd_split, tiles_of
 from spinpipe.stages.stage import Context, InputPath, Scale, Section, StageError
+from spinpipe.stages.threads import map_threads
 
 _BYTES_A_POINT = 1000
 """Generous upper bound of the memory that one point of a chunk takes on its way."""
@@ -37,7 +40,7 @@ _LARGEST_CHUNK = 1 << 20
 
 
 class Ingest:
-    """Read the scene twice: once to measure it, once to sort its points into tiles."""
+    """Look at the scene twice: once to measure it, once to sort its points into tiles."""
 
     name = "ingest"
     version = 3
@@ -85,6 +88,7 @@ class Ingest:
         source = open_scene(config.scene, config.topic)
         if isinstance(source, McapSource) and source.sweeps > 1:
             source = _one_scene(source, ctx)
+        source = held(source, ctx.memory_bytes // 4)
         progress = ctx.progress("points read", source.points)
         found = survey(source, str(config.scene), _chunk_points(ctx.memory_bytes), progress)
         said, unlikely = believable(source.about.coordinates, found)
@@ -166,36 +170,38 @@ def _write_tiles(
 ) -> TileIndex:
     """Second pass: scatter the points to the leaves of a k-d split, then write leaf by leaf."""
     most = ctx.config.tile_points
-    split = kd_split(_local(found.sample, frame), frame.points, most)
+    origin, scale = np.array(frame.origin), np.array(frame.scale)
+    sample = np.empty(found.sample.shape, np.float32)
+    to_local(found.sample, origin, scale, sample)
+    split = kd_split(sample, frame.points, most)
     low: list[F32] = []
     high: list[F32] = []
     counts: list[int] = []
     with ScatterFile(ctx.scratch, split.leaves) as scatter:
         sorting = ctx.progress("points sorted", source.points)
-        for xyz, rgb, count in finite(source, _chunk_points(ctx.memory_bytes)):
-            sorting.advance(count)
+        for block in finite(source, _chunk_points(ctx.memory_bytes)):
+            sorting.advance(block.read)
+            xyz, rgb = block.xyz, block.rgb
             if frame.strays:
                 kept = within(xyz, found.keep_low, found.keep_high)
                 xyz, rgb = xyz[kept], rgb[kept]
             points = np.empty(len(xyz), POINT)
-            points["xyz"], points["rgb"] = _local(xyz, frame), rgb
+            to_local(xyz, origin, scale, points["xyz"])
+            points["rgb"] = rgb
             scatter.append(points, split.leaf_of(points["xyz"]))
         writing = ctx.progress("points written", frame.points)
-        for leaf in range(split.leaves):
-            for points in tiles_of(scatter.read(leaf), most):
-                tile = CloudTile(
-                    np.ascontiguousarray(points["xyz"]), np.ascontiguousarray(points["rgb"])
-                )
-                ctx.write(CLOUD, tile)
-                lowest, highest = extremes(tile.xyz)
-                low.append(lowest)
-                high.append(highest)
-                counts.append(len(points))
-                writing.advance(len(points))
+
+        def tiles(leaf: int) -> list[CloudTile]:
+            return [
+                CloudTile(np.ascontiguousarray(p["xyz"]), np.ascontiguousarray(p["rgb"]))
+                for p in tiles_of(scatter.read(leaf), most)
+            ]
+
+        for tile in chain.from_iterable(map_threads(tiles, range(split.leaves), ctx.threads)):
+            ctx.write(CLOUD, tile)
+            lowest, highest = extremes(tile.xyz)
+            low.append(lowest)
+            high.append(highest)
+            counts.append(len(tile.xyz))
+            writing.advance(len(tile.xyz))
     return TileIndex(np.stack(low), np.stack(high), np.array(counts, np.int64))
-
-
-def _local(xyz: F64, frame: SceneFrame) -> F32:
-    """Scene -> local frame; adding 0 turns -0.0 into 0.0, so that equal points are equal bits."""
-    local = (xyz - np.array(frame.origin)) * np.array(frame.scale)
-    return local.astype(np.float32) + np.float32(0)

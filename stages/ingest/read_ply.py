@@ -99,7 +99,7 @@ class PlySource:
         if self._colours and self._full is None:
             self._full = full_colour(_matrix(rows, self._colours) for rows in self._rows(points))
         for rows in self._rows(points):
-            xyz = _matrix(rows, self._axes).astype(np.float64)
+            xyz = _matrix(rows, self._axes, np.float64)
             if self._full is None:
                 yield xyz, white(len(rows))
             else:
@@ -236,10 +236,12 @@ def _layout(element: PlyElement) -> list[tuple[np.dtype[Any] | None, np.dtype[An
     return [(prop.count_dtype, prop.dtype) for prop in element.properties]
 
 
-def _matrix(rows: NDArray[Any], names: tuple[str, ...]) -> NDArray[Any]:
+def _matrix(
+    rows: NDArray[Any], names: tuple[str, ...], dtype: type[np.float64] | None = None
+) -> NDArray[Any]:
     """Columns of structured rows as (N, len(names)), in native byte order."""
-    dtype = np.result_type(*(rows.dtype[name] for name in names))
-    matrix = np.empty((len(rows), len(names)), dtype)
+    common = dtype or np.result_type(*(rows.dtype[name] for name in names))
+    matrix = np.empty((len(rows), len(names)), common)
     for column, name in enumerate(names):
         matrix[:, column] = rows[name]
     return matrix

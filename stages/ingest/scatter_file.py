@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 from tempfile import TemporaryFile
 from types import TracebackType
@@ -10,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.schemas.arrays import I64
-from spinpipe.stages.ingest.tiling import POINT
+from spinpipe.stages.ingest.tiling import POINT, taken
 
 
 class ScatterFile:
@@ -30,26 +32,23 @@ class ScatterFile:
         self._starts: list[I64] = []
         self._written = 0
 
-    def append(self, points: NDArray[np.void], leaf: I64) -> None:
+    def append(self, points: NDArray[np.void], leaf: NDArray[np.unsignedinteger]) -> None:
         """Add points (N,) of dtype ``POINT`` that belong to the leaves (N,)."""
-        small = leaf.astype(np.uint16) if self._leaves <= 1 << 16 else leaf
-        order = np.argsort(small, kind="stable")  # a radix sort for 16 bits
-        points[order].tofile(self._file)
+        order = np.argsort(leaf, kind="stable")  # a radix sort for 16 bits
+        taken(points, order).tofile(self._file)
         counts = np.bincount(leaf, minlength=self._leaves)
         self._starts.append(self._written + np.append(0, np.cumsum(counts)))
         self._written += len(points)
 
     def read(self, leaf: int) -> NDArray[np.void]:
-        """All points of a leaf, in the order of appending."""
-        extents = [(starts[leaf], starts[leaf + 1] - starts[leaf]) for starts in self._starts]
-        points = np.empty(sum(int(count) for _, count in extents), POINT)
-        filled = 0
-        for start, count in extents:
-            if count:
-                self._file.seek(int(start) * POINT.itemsize)
-                points[filled : filled + count] = np.fromfile(self._file, POINT, int(count))
-                filled += int(count)
-        return points
+        """All points of a leaf, in the order of appending; several threads may ask."""
+        parts: list[bytes] = []
+        for starts in self._starts:
+            begin, end = POINT.itemsize * int(starts[leaf]), POINT.itemsize * int(starts[leaf + 1])
+            parts.append(os.pread(self._file.fileno(), end - begin, begin))
+            if len(parts[-1]) < end - begin:
+                raise OSError(errno.EIO, "points that were put aside cannot be read back")
+        return np.frombuffer(b"".join(parts), POINT)
 
     def __enter__(self) -> ScatterFile:
         return self

@@ -112,6 +112,35 @@ class MemorySource:
             yield piece, white(len(piece)) if self.rgb is None else self.rgb[start : start + points]
 
 
+_HELD_BYTES = 27
+"""A point's coordinates and colours."""
+
+
+class _Held:
+    """Points of another source, kept from when they are first asked for."""
+
+    def __init__(self, source: SceneSource) -> None:
+        self._source = source
+        self._chunks: list[Chunk] = []
+        self.points, self.coloured, self.about = source.points, source.coloured, source.about
+
+    def chunks(self, points: int) -> Iterator[Chunk]:
+        """All points in order, in the pieces that were asked for first."""
+        if self._chunks:
+            yield from self._chunks
+            return
+        chunks: list[Chunk] = []
+        for chunk in self._source.chunks(points):
+            chunks.append(chunk)
+            yield chunk
+        self._chunks = chunks
+
+
+def held(source: SceneSource, most_bytes: int) -> SceneSource:
+    """A source that reads its file once where its points fit into so much memory."""
+    return _Held(source) if source.points * _HELD_BYTES <= most_bytes else source
+
+
 def white(count: int) -> U8:
     """Colours (count, 3) of points that have none."""
     return np.full((count, 3), 255, np.uint8)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -11,6 +12,7 @@ from scipy.spatial import KDTree
 from spinpipe.schemas.arrays import F64, U8, Mask
 from spinpipe.schemas.records import Vector
 from spinpipe.stages.geometry.columns import extremes
+from spinpipe.stages.ingest.point_blocks import finite_rows
 from spinpipe.stages.ingest.scene_source import SceneSource
 from spinpipe.stages.ingest.tiling import HashSample
 from spinpipe.stages.stage import Progress, StageError
@@ -45,7 +47,8 @@ class Survey:
     """(3,) least coordinates of what is not astray."""
     high: F64
     sample: F64
-    """(S, 3) of what is not astray, independent of order."""
+    """(S, 3) of what is not astray, in random order but whatever that of the file; equal points
+    are neighbours."""
 
     @property
     def origin(self) -> Vector:
@@ -70,12 +73,14 @@ class Survey:
 
         A disc about a point that reaches to its k-th neighbour holds k points.
         """
-        places = np.unique(self.sample * scale, axis=0)
+        copies = (self.sample[1:] == self.sample[:-1]).all(axis=1)
+        places = self.sample if not copies.any() else self.sample[~np.append(False, copies)]
+        places = (places - places[:1]) * scale
         if len(places) <= _NEIGHBOURS:
             return 0.0
-        some = places[:: max(1, len(places) // _SPACING_POINTS)]
-        tree = KDTree(places - places[0])
-        reach = tree.query(some - places[0], k=_NEIGHBOURS + 1)[0][:, _NEIGHBOURS]
+        some = places[:_SPACING_POINTS]
+        tree = KDTree(places, compact_nodes=False, balanced_tree=False)
+        reach = tree.query(some, k=_NEIGHBOURS + 1)[0][:, _NEIGHBOURS]
         thinned = len(self.sample) / max(self.points - self.strays, 1)
         return float(np.median(reach) * np.sqrt(np.pi / _NEIGHBOURS * thinned))
 
@@ -96,35 +101,34 @@ def survey(source: SceneSource, name: str, chunk: int, progress: Progress) -> Su
         When there is no point, or none with finite coordinates.
     """
     sample = HashSample(chunk)
-    corners = _Corners()
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
     points = read = 0
-    for xyz, _, count in finite(source, chunk):
-        progress.advance(count)
-        read += count
-        points += len(xyz)
-        if len(xyz):
-            sample.add(xyz)
-            corners.add(xyz)
+    for block in finite(source, chunk):
+        progress.advance(block.read)
+        read += block.read
+        points += len(block.xyz)
+        sample.add(block.xyz)
+        low, high = np.minimum(low, block.low), np.maximum(high, block.high)
     if not read:
         raise StageError(f"{name}: the cloud is empty; export it again")
     if not points:
         raise StageError(
             f"{name}: none of its {read:,} points has finite coordinates; export it again"
         )
-    known = sample.points if len(sample.points) else np.stack([corners.low, corners.high])
+    known = sample.points
+    known = known if len(known) else np.stack([low, high])
     keep_low, keep_high = _kept_box(known)
-    inside = within(known, keep_low, keep_high)
     strays = 0
-    low, high = corners.low, corners.high
     if (low < keep_low).any() or (high > keep_high).any():
-        corners = _Corners()
-        for xyz, _, _ in finite(source, chunk):
-            kept = xyz[within(xyz, keep_low, keep_high)]
-            strays += len(xyz) - len(kept)
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        for block in finite(source, chunk):
+            kept = block.xyz[within(block.xyz, keep_low, keep_high)]
+            strays += len(block.xyz) - len(kept)
             if len(kept):
-                corners.add(kept)
-        low, high = corners.low, corners.high
-    return Survey(points, read - points, strays, keep_low, keep_high, low, high, known[inside])
+                lowest, highest = extremes(kept)
+                low, high = np.minimum(low, lowest), np.maximum(high, highest)
+        known = known[within(known, keep_low, keep_high)]
+    return Survey(points, read - points, strays, keep_low, keep_high, low, high, known)
 
 
 def left_out(found: Survey) -> Iterator[str]:
@@ -136,16 +140,28 @@ def left_out(found: Survey) -> Iterator[str]:
         yield f"left out {found.strays:,} points far from all others (they reach {size} units)"
 
 
-def finite(source: SceneSource, chunk: int) -> Iterator[tuple[F64, U8, int]]:
-    """Chunks without the points that float32 cannot hold, and how many points they had."""
+class Block(NamedTuple):
+    """Points of a scene that float32 can hold, as they come."""
+
+    xyz: F64
+    """(N, 3) scene frame."""
+    rgb: U8
+    """(N, 3)"""
+    read: int
+    """How many there were with those that it cannot hold."""
+    low: F64
+    """(3,) least coordinates; infinite where there are none."""
+    high: F64
+
+
+def finite(source: SceneSource, chunk: int) -> Iterator[Block]:
+    """The scene in blocks of at most ``chunk`` points."""
     for xyz, rgb in source.chunks(chunk):
-        with np.errstate(over="ignore", invalid="ignore"):
-            x, y, z = np.isfinite(xyz.astype(np.float32)).T
-            good = x & y & z
-        if good.all():
-            yield xyz, rgb, len(xyz)
+        count, good, low, high = finite_rows(xyz)
+        if count == len(xyz):
+            yield Block(xyz, rgb, len(xyz), low, high)
         else:
-            yield xyz[good], rgb[good], len(xyz)
+            yield Block(xyz[good], rgb[good], len(xyz), low, high)
 
 
 def within(xyz: F64, low: F64, high: F64) -> Mask:
@@ -154,17 +170,6 @@ def within(xyz: F64, low: F64, high: F64) -> Mask:
     for axis in range(3):
         inside &= (xyz[:, axis] >= low[axis]) & (xyz[:, axis] <= high[axis])
     return inside
-
-
-class _Corners:
-    """The bounding box of a stream of points."""
-
-    def __init__(self) -> None:
-        self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
-
-    def add(self, xyz: F64) -> None:
-        low, high = extremes(xyz)
-        self.low, self.high = np.minimum(self.low, low), np.maximum(self.high, high)
 
 
 def _kept_box(sample: F64) -> tuple[F64, F64]:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from hypothesis import strategies as st
 from plyfile import PlyData, PlyElement
 
 from spinpipe.stages.ingest.open_scene import open_scene
-from spinpipe.stages.ingest.scene_source import SceneSource
+from spinpipe.stages.ingest.scene_source import About, Chunk, MemorySource, SceneSource, held
 from spinpipe.stages.stage import StageError
 
 COLOUR_NAMES = [
@@ -234,6 +235,26 @@ def test_las_cut_short(tmp_path: Path, shared_data: Path) -> None:
         path.write_bytes(whole[:50])
         with pytest.raises(StageError, match="cannot read the LAS file"):
             open_scene(path)
+
+
+@pytest.mark.parametrize(("memory", "reads"), [(27 * 500, 1), (27 * 499, 2)])
+def test_what_fits_into_memory_is_read_once(memory: int, reads: int) -> None:
+    class Counted(MemorySource):
+        opened = 0
+
+        def chunks(self, points: int) -> Iterator[Chunk]:
+            Counted.opened += 1
+            return super().chunks(points)
+
+    xyz, rgb = cloud(500)
+    source = held(Counted(About("cloud"), xyz, rgb), memory)
+    next(iter(source.chunks(100)))  # one that stops early has not seen it all
+    Counted.opened = 0
+    for _ in range(2):
+        again = read(source, 100)
+        np.testing.assert_array_equal(again[0], xyz)
+        np.testing.assert_array_equal(again[1], rgb)
+    assert Counted.opened == reads
 
 
 def test_paths_that_are_no_scene(tmp_path: Path) -> None:
