@@ -21,12 +21,12 @@ from spinpipe.pipeline.runner import Runner
 from spinpipe.schemas import CAMERAS, PLANE, SAMPLING, SCENE, TILES
 from spinpipe.stages import STAGES
 from spinpipe.stages.ground.ground import format_vector
-from spinpipe.stages.ingest.file_kind import file_kind
 from spinpipe.stages.ingest.ingest import Ingest
 from spinpipe.stages.ingest.object_model import ModelConfig, object_model, read_model
-from spinpipe.stages.ingest.read_mesh import MESHES
-from spinpipe.stages.ingest.read_ply import read_header
-from spinpipe.stages.ingest.read_ply_faces import face_table
+from spinpipe.stages.ingest.readers.file_kind import file_kind
+from spinpipe.stages.ingest.readers.mesh import MESHES
+from spinpipe.stages.ingest.readers.ply import read_header
+from spinpipe.stages.ingest.readers.ply_faces import face_table
 from spinpipe.stages.ingest.sanity import odd_shape
 from spinpipe.stages.stage import StageError
 

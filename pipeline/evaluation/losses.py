@@ -110,7 +110,6 @@ class _Trail:
         self._missed = missed
         self._detections = detections
         self._read = read
-        self._radius_m = radius_m
         self._rule = rule
         self._reach_m = {m.name: radius_m + _top_offset_m(m) for m in read(MODELS)}
         self._sought = np.array(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.schemas.arrays import I32, U8
-from spinpipe.stages.ingest.ply_header import CODES
+from spinpipe.stages.ingest.readers.ply_header import CODES
 
 _NAMES = {code: name for name, code in CODES.items()}
 _FACE = np.dtype([("count", "u1"), ("vertex_indices", "<i4", 3)])

@@ -15,9 +15,10 @@ from spinpipe.schemas.records import CloudTile, SceneFrame, TileIndex, Vector
 from spinpipe.stages.geometry.columns import extremes
 from spinpipe.stages.ingest.known_scale import ScaleFrom, known_scale
 from spinpipe.stages.ingest.odometry import Odometry, registered
-from spinpipe.stages.ingest.open_scene import open_scene
 from spinpipe.stages.ingest.point_blocks import to_local
-from spinpipe.stages.ingest.read_mcap import McapSource
+from spinpipe.stages.ingest.readers.mcap import McapSource
+from spinpipe.stages.ingest.readers.open_scene import open_scene
+from spinpipe.stages.ingest.readers.scene_source import SceneSource, held
 from spinpipe.stages.ingest.sanity import (
     believable,
     coarse_steps,
@@ -28,7 +29,6 @@ from spinpipe.stages.ingest.sanity import (
     scene_line,
 )
 from spinpipe.stages.ingest.scatter_file import ScatterFile
-from spinpipe.stages.ingest.scene_source import SceneSource, held
 from spinpipe.stages.ingest.survey import Survey, finite, left_out, survey, within
 from spinpipe.stages.ingest.tiling import POINT, kd_split, tiles_of
 from spinpipe.stages.stage import Context, InputPath, Scale, Section, StageError

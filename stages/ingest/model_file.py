@@ -15,9 +15,9 @@ from scipy.spatial import KDTree
 
 from spinpipe.schemas.arrays import F64, I64
 from spinpipe.stages.geometry.shapes import face_areas_and_normals, sample_surface
-from spinpipe.stages.ingest.file_kind import file_kind
-from spinpipe.stages.ingest.open_scene import open_scene
-from spinpipe.stages.ingest.read_mesh import MESHES, read_mesh
+from spinpipe.stages.ingest.readers.file_kind import file_kind
+from spinpipe.stages.ingest.readers.mesh import MESHES, read_mesh
+from spinpipe.stages.ingest.readers.open_scene import open_scene
 from spinpipe.stages.stage import StageError
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]

@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from spinpipe.schemas.arrays import F64, I64
 from spinpipe.schemas.records import Trajectory
-from spinpipe.stages.ingest.read_mcap import McapSource, Sweep
-from spinpipe.stages.ingest.scene_source import MemorySource
+from spinpipe.stages.ingest.readers.mcap import McapSource, Sweep
+from spinpipe.stages.ingest.readers.scene_source import MemorySource
 from spinpipe.stages.stage import Section, StageError
 
 if TYPE_CHECKING:

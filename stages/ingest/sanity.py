@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from spinpipe.schemas.records import ObjectModel, SceneFrame, Vector
-from spinpipe.stages.ingest.coordinates import Coordinates
 from spinpipe.stages.ingest.model_file import ModelFile
-from spinpipe.stages.ingest.scene_source import SceneSource
+from spinpipe.stages.ingest.readers.coordinates import Coordinates
+from spinpipe.stages.ingest.readers.scene_source import SceneSource
 from spinpipe.stages.ingest.survey import Survey
 from spinpipe.stages.stage import StageError
 

@@ -13,7 +13,7 @@ from spinpipe.schemas.arrays import F64, U8, Mask
 from spinpipe.schemas.records import Vector
 from spinpipe.stages.geometry.columns import extremes
 from spinpipe.stages.ingest.point_blocks import finite_rows
-from spinpipe.stages.ingest.scene_source import SceneSource
+from spinpipe.stages.ingest.readers.scene_source import SceneSource
 from spinpipe.stages.ingest.tiling import HashSample
 from spinpipe.stages.stage import Progress, StageError
 

@@ -19,7 +19,7 @@ from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
 from spinpipe.schemas.arrays import F64, U8
 from spinpipe.schemas.records import Detection
 from spinpipe.stages.geometry.frames import yaw_matrix
-from spinpipe.stages.ingest.open_scene import open_scene
+from spinpipe.stages.ingest.readers.open_scene import open_scene
 
 CONFIG = Path(__file__).parents[2] / "recordings" / "carpark.toml"
 MATCH_M = 1.5

@@ -23,7 +23,7 @@ from spinpipe.pipeline.scenes.artificial import make_scene
 from spinpipe.schemas import CAMERAS, CLOUD, PLANE, SCENE, TILES, TRAJECTORY, UPRIGHT
 from spinpipe.schemas.records import Cameras, CloudTile, Plane, SceneFrame, TileIndex
 from spinpipe.stages.ground.ground import Ground
-from spinpipe.stages.ingest.open_scene import open_scene
+from spinpipe.stages.ingest.readers.open_scene import open_scene
 from spinpipe.stages.stage import StageError
 
 F64 = NDArray[np.float64]

@@ -129,7 +129,7 @@ def test_draco_without_its_library(
     cli: Any, shared_cases: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     case = shared_cases / "model-glb-draco"
-    monkeypatch.setattr("spinpipe.stages.ingest.read_mesh._has_draco", lambda: False)
+    monkeypatch.setattr("spinpipe.stages.ingest.readers.mesh._has_draco", lambda: False)
     outcome = run(cli, case, tmp_path)
     assert outcome.code == 1
     assert "compressed with Draco; install DracoPy" in outcome.err

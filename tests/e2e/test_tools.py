@@ -14,7 +14,7 @@ from PIL import Image
 
 from spinpipe.pipeline.evaluation import experiments, paper
 from spinpipe.pipeline.scenes.artificial import make_scene
-from spinpipe.stages.ingest.open_scene import open_scene
+from spinpipe.stages.ingest.readers.open_scene import open_scene
 
 if TYPE_CHECKING:
     from tests.conftest import Cli, Yard, YardRun

@@ -18,7 +18,7 @@ from spinpipe.pipeline.mcap_file import Messages, StageFileWriter, read_metadata
 from spinpipe.schemas import CLOUD
 from spinpipe.schemas.records import CloudTile, SceneFrame, Upright
 from spinpipe.stages.ingest.object_model import ModelConfig, object_model, read_model
-from spinpipe.stages.ingest.open_scene import open_scene
+from spinpipe.stages.ingest.readers.open_scene import open_scene
 
 POINTS = np.random.default_rng(0).uniform(-5, 5, (60, 3))
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from spinpipe.pipeline.errors import INPUT_ERROR, describe
-from spinpipe.stages.ingest.open_scene import open_scene
+from spinpipe.stages.ingest.readers.open_scene import open_scene
 from spinpipe.stages.ingest.survey import left_out, survey
 
 if TYPE_CHECKING:

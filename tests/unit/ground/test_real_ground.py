@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.unit.ground.scenes import UP, angle_deg, ground_of, up_of
 
-from spinpipe.stages.ingest.open_scene import open_scene
+from spinpipe.stages.ingest.readers.open_scene import open_scene
 
 
 def read_real(path):

@@ -24,7 +24,7 @@ from spinpipe.pipeline.progress import stage_progress
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.schemas import CALIBRATIONS, CAMERAS, CLOUD, SCENE, TILES
 from spinpipe.stages.ingest.ingest import Ingest
-from spinpipe.stages.ingest.open_scene import open_scene
+from spinpipe.stages.ingest.readers.open_scene import open_scene
 from spinpipe.stages.stage import StageError
 
 

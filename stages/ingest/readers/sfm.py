@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from spinpipe.schemas.arrays import F64
 from spinpipe.schemas.records import Cameras
-from spinpipe.stages.ingest.scene_source import About, MemorySource
+from spinpipe.stages.ingest.readers.scene_source import About, MemorySource
 from spinpipe.stages.stage import StageError
 
 _DAMAGE = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError, StopIteration,

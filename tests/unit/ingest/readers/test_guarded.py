@@ -11,9 +11,9 @@ import laspy
 import numpy as np
 import pytest
 
-from spinpipe.stages.ingest import guarded as module
-from spinpipe.stages.ingest.guarded import guarded
-from spinpipe.stages.ingest.open_scene import open_scene
+from spinpipe.stages.ingest.readers import guarded as module
+from spinpipe.stages.ingest.readers.guarded import guarded
+from spinpipe.stages.ingest.readers.open_scene import open_scene
 from spinpipe.stages.stage import StageError
 
 

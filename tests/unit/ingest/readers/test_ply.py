@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from plyfile import PlyData, PlyElement, PlyListProperty
 
 from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
-from spinpipe.stages.ingest.ply_header import CODES, parse_header
+from spinpipe.stages.ingest.readers.ply_header import CODES, parse_header
 
 NUMBERS = st.sampled_from(sorted(CODES.values()))
 FIELDS = st.lists(

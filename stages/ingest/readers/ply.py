@@ -12,11 +12,11 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.stages.ingest.colour_range import full_colour, to_8_bit
-from spinpipe.stages.ingest.coordinates import Coordinates, beside, from_text
-from spinpipe.stages.ingest.ply_header import PlyElement, PlyHeader, parse_header
-from spinpipe.stages.ingest.ply_lists import ListRows
-from spinpipe.stages.ingest.scene_source import About, Chunk, white
+from spinpipe.stages.ingest.readers.coordinates import Coordinates, beside, from_text
+from spinpipe.stages.ingest.readers.ply_header import PlyElement, PlyHeader, parse_header
+from spinpipe.stages.ingest.readers.ply_lists import ListRows
+from spinpipe.stages.ingest.readers.point_fields import full_colour, to_8_bit
+from spinpipe.stages.ingest.readers.scene_source import About, Chunk, white
 from spinpipe.stages.stage import StageError
 
 _COLOURS = tuple(

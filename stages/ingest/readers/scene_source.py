@@ -14,7 +14,7 @@ import numpy as np
 
 from spinpipe.schemas.arrays import F64, U8
 from spinpipe.schemas.records import Calibration, Cameras, Trajectory, Vector
-from spinpipe.stages.ingest.coordinates import Coordinates
+from spinpipe.stages.ingest.readers.coordinates import Coordinates
 
 Chunk = tuple[F64, U8]
 """Coordinates (N, 3) float64 in the scene frame, not necessarily finite, and colours (N, 3)."""

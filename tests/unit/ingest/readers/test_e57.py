@@ -15,7 +15,7 @@ import pytest
 from pye57 import libe57
 from scipy.spatial.transform import Rotation
 
-from spinpipe.stages.ingest.open_scene import open_scene
+from spinpipe.stages.ingest.readers.open_scene import open_scene
 from spinpipe.stages.stage import StageError
 
 POSES = [

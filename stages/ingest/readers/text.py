@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from spinpipe.schemas.arrays import F64
-from spinpipe.stages.ingest.colour_range import full_colour, to_8_bit
-from spinpipe.stages.ingest.coordinates import Coordinates, beside, from_text
-from spinpipe.stages.ingest.scene_source import About, Chunk, white
+from spinpipe.stages.ingest.readers.coordinates import Coordinates, beside, from_text
+from spinpipe.stages.ingest.readers.point_fields import full_colour, to_8_bit
+from spinpipe.stages.ingest.readers.scene_source import About, Chunk, white
 from spinpipe.stages.stage import StageError
 
 _HEAD_LINES = 200

@@ -18,10 +18,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from spinpipe.schemas.arrays import F64
-from spinpipe.stages.ingest.colour_range import full_colour, to_8_bit
-from spinpipe.stages.ingest.coordinates import Coordinates, beside, from_crs, parse_crs
-from spinpipe.stages.ingest.guarded import MOST_POINTS, guarded, readable
-from spinpipe.stages.ingest.scene_source import About, Chunk, white
+from spinpipe.stages.ingest.readers.coordinates import Coordinates, beside, from_crs, parse_crs
+from spinpipe.stages.ingest.readers.guarded import MOST_POINTS, guarded, readable
+from spinpipe.stages.ingest.readers.point_fields import full_colour, to_8_bit
+from spinpipe.stages.ingest.readers.scene_source import About, Chunk, white
 from spinpipe.stages.stage import StageError
 
 _CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")

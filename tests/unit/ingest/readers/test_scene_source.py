@@ -16,8 +16,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plyfile import PlyData, PlyElement
 
-from spinpipe.stages.ingest.open_scene import open_scene
-from spinpipe.stages.ingest.scene_source import About, Chunk, MemorySource, SceneSource, held
+from spinpipe.stages.ingest.readers.open_scene import open_scene
+from spinpipe.stages.ingest.readers.scene_source import (
+    About,
+    Chunk,
+    MemorySource,
+    SceneSource,
+    held,
+)
 from spinpipe.stages.stage import StageError
 
 COLOUR_NAMES = [

@@ -14,8 +14,8 @@ import pytest
 import trimesh
 
 from spinpipe.stages.ingest.model_file import open_model
-from spinpipe.stages.ingest.open_scene import open_scene
-from spinpipe.stages.ingest.read_mesh import read_mesh
+from spinpipe.stages.ingest.readers.mesh import read_mesh
+from spinpipe.stages.ingest.readers.open_scene import open_scene
 from spinpipe.stages.stage import StageError
 
 XYZ = np.array([[1.5, -2.25, 3.0], [1e3, 2e-3, -7.5], [0.0, 4.0, 8.125], [9.0, 9.5, 9.75]])
@@ -77,7 +77,7 @@ def test_pcd(tmp_path: Path, encoding: str) -> None:
 
 
 def test_pcd_references_back(tmp_path: Path) -> None:
-    from spinpipe.stages.ingest.read_pcd import unpack_lzf
+    from spinpipe.stages.ingest.readers.pcd import unpack_lzf
 
     squeezed = np.frombuffer(bytes([2]) + b"abc" + bytes([(4 - 2) << 5, 2]), np.uint8)
     unpacked = unpack_lzf(squeezed, 7)

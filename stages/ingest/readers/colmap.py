@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from spinpipe.schemas.records import Calibration, Cameras
-from spinpipe.stages.ingest.coordinates import Coordinates
-from spinpipe.stages.ingest.lens import MODELS, calibration
-from spinpipe.stages.ingest.packed_points import xyz_of
-from spinpipe.stages.ingest.ply_lists import ListRows
-from spinpipe.stages.ingest.read_sfm import camera_poses
-from spinpipe.stages.ingest.scene_source import About, Chunk
+from spinpipe.stages.ingest.readers.coordinates import Coordinates
+from spinpipe.stages.ingest.readers.lens import MODELS, calibration
+from spinpipe.stages.ingest.readers.ply_lists import ListRows
+from spinpipe.stages.ingest.readers.point_fields import xyz_of
+from spinpipe.stages.ingest.readers.scene_source import About, Chunk
+from spinpipe.stages.ingest.readers.sfm import camera_poses
 from spinpipe.stages.stage import StageError
 
 _POINT = [(None, "<u8"), *[(None, "<f8")] * 3, *[(None, "<u1")] * 3, (None, "<f8"), ("<u8", "<u8")]

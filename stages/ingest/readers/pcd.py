@@ -18,9 +18,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spinpipe.schemas.arrays import U8
-from spinpipe.stages.ingest.coordinates import Coordinates, beside
-from spinpipe.stages.ingest.packed_points import colours_of, xyz_of
-from spinpipe.stages.ingest.scene_source import About, Chunk
+from spinpipe.stages.ingest.readers.coordinates import Coordinates, beside
+from spinpipe.stages.ingest.readers.point_fields import colours_of, xyz_of
+from spinpipe.stages.ingest.readers.scene_source import About, Chunk
 from spinpipe.stages.stage import StageError
 
 _LONGEST_HEADER = 1 << 16

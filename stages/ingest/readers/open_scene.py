@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from spinpipe.stages.ingest.file_kind import file_kind
-from spinpipe.stages.ingest.read_colmap import ColmapSource, with_cameras
-from spinpipe.stages.ingest.read_e57 import E57Source
-from spinpipe.stages.ingest.read_las import LasSource
-from spinpipe.stages.ingest.read_mcap import McapSource
-from spinpipe.stages.ingest.read_mesh import MESHES, sampled_mesh
-from spinpipe.stages.ingest.read_pcd import PcdSource
-from spinpipe.stages.ingest.read_ply import PlySource
-from spinpipe.stages.ingest.read_sfm import read_sfm
-from spinpipe.stages.ingest.read_text import TextSource
-from spinpipe.stages.ingest.scene_source import SceneSource
+from spinpipe.stages.ingest.readers.colmap import ColmapSource, with_cameras
+from spinpipe.stages.ingest.readers.e57 import E57Source
+from spinpipe.stages.ingest.readers.file_kind import file_kind
+from spinpipe.stages.ingest.readers.las import LasSource
+from spinpipe.stages.ingest.readers.mcap import McapSource
+from spinpipe.stages.ingest.readers.mesh import MESHES, sampled_mesh
+from spinpipe.stages.ingest.readers.pcd import PcdSource
+from spinpipe.stages.ingest.readers.ply import PlySource
+from spinpipe.stages.ingest.readers.scene_source import SceneSource
+from spinpipe.stages.ingest.readers.sfm import read_sfm
+from spinpipe.stages.ingest.readers.text import TextSource
 from spinpipe.stages.stage import StageError
 
 

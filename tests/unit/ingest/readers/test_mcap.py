@@ -21,10 +21,10 @@ from mcap_ros2.writer import Writer as Ros2Writer
 from scipy.spatial.transform import Rotation
 
 from spinpipe.schemas.arrays import F64
-from spinpipe.stages.ingest.cloud_message import decoder
 from spinpipe.stages.ingest.odometry import Odometry, registered
-from spinpipe.stages.ingest.open_scene import open_scene
-from spinpipe.stages.ingest.read_mcap import McapSource
+from spinpipe.stages.ingest.readers.cloud_message import decoder
+from spinpipe.stages.ingest.readers.mcap import McapSource
+from spinpipe.stages.ingest.readers.open_scene import open_scene
 from spinpipe.stages.stage import StageError
 
 ROW = np.dtype(

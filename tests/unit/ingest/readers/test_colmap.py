@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from spinpipe.schemas.records import Calibration
-from spinpipe.stages.ingest.lens import MODELS, calibration
-from spinpipe.stages.ingest.open_scene import open_scene
+from spinpipe.stages.ingest.readers.lens import MODELS, calibration
+from spinpipe.stages.ingest.readers.open_scene import open_scene
 from spinpipe.stages.stage import StageError
 
 

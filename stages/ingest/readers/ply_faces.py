@@ -10,8 +10,8 @@ import numpy as np
 from numba import njit
 
 from spinpipe.schemas.arrays import F64, I64, U8
-from spinpipe.stages.ingest.ply_header import PlyElement, PlyHeader
-from spinpipe.stages.ingest.read_ply import PlySource, read_header, skip_rows
+from spinpipe.stages.ingest.readers.ply import PlySource, read_header, skip_rows
+from spinpipe.stages.ingest.readers.ply_header import PlyElement, PlyHeader
 from spinpipe.stages.stage import StageError
 
 _TABLES = ("face", "tristrips")

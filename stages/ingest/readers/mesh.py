@@ -20,10 +20,10 @@ import numpy as np
 from spinpipe.schemas.arrays import F64, I64, U8
 from spinpipe.schemas.records import Vector
 from spinpipe.stages.geometry.shapes import draw_on_faces, face_areas_and_normals
-from spinpipe.stages.ingest.coordinates import Coordinates, beside
-from spinpipe.stages.ingest.guarded import guarded, readable
-from spinpipe.stages.ingest.read_ply_faces import read_ply_mesh
-from spinpipe.stages.ingest.scene_source import About, MemorySource
+from spinpipe.stages.ingest.readers.coordinates import Coordinates, beside
+from spinpipe.stages.ingest.readers.guarded import guarded, readable
+from spinpipe.stages.ingest.readers.ply_faces import read_ply_mesh
+from spinpipe.stages.ingest.readers.scene_source import About, MemorySource
 from spinpipe.stages.stage import StageError
 
 MESHES = ("obj", "stl", "glb", "gltf", "off", "dae", "ply")

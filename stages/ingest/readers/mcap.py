@@ -10,11 +10,11 @@ import numpy as np
 from mcap.reader import make_reader
 
 from spinpipe.schemas.arrays import F64, U8
-from spinpipe.stages.ingest.cloud_message import CloudMessage, Decode, decoder
-from spinpipe.stages.ingest.coordinates import Coordinates
-from spinpipe.stages.ingest.guarded import guarded, readable
-from spinpipe.stages.ingest.packed_points import CHANNELS, colours_of, xyz_of
-from spinpipe.stages.ingest.scene_source import About, Chunk
+from spinpipe.stages.ingest.readers.cloud_message import CloudMessage, Decode, decoder
+from spinpipe.stages.ingest.readers.coordinates import Coordinates
+from spinpipe.stages.ingest.readers.guarded import guarded, readable
+from spinpipe.stages.ingest.readers.point_fields import CHANNELS, colours_of, xyz_of
+from spinpipe.stages.ingest.readers.scene_source import About, Chunk
 from spinpipe.stages.stage import StageError
 
 FIXED_FRAMES = ("map", "odom", "world", "earth", "local")

@@ -1,0 +1,1 @@
+"""Readers of scenes and meshes: one a file format, chosen by what the file holds."""
