@@ -120,6 +120,9 @@ def inspect_file(path: Path, role: Literal["", "scene", "model"], console: Conso
 
 def _is_mesh(path: Path) -> bool:
     kind = "" if path.is_dir() else file_kind(path)
+    if kind == "obj":
+        with path.open("rb") as file:
+            return any(line.startswith((b"f ", b"f\t")) for line in file)
     return face_table(read_header(path)) is not None if kind == "ply" else kind in MESHES
 
 
@@ -196,6 +199,8 @@ def model_facts(path: Path) -> Facts:
         "closed": file.closed,
         "up": {"axis": file.up, "why": file.reason},
         "forward": file.forward,
+        "metres_a_unit": file.metres or 1.0,
+        "unit_source": file.coordinates.source if file.metres else "",
         "notes": [note for note in (file.doubt, odd_shape(model)) if note],
         "refused": "",
     }
@@ -259,7 +264,11 @@ def _model_rows(facts: Facts) -> list[tuple[str, str]]:
     size = " x ".join(f"{v:.3g}" for v in facts["size_m"])
     return [
         ("format", facts["format"]),
-        ("size", f"{size} m (length, width, height), if its unit is the metre"),
+        ("size", f"{size} m (length, width, height)"),
+        (
+            "unit",
+            f"{facts['metres_a_unit']:.7g} m, {facts['unit_source'] or 'assumed: nothing says it'}",
+        ),
         ("faces", faces if facts["faces"] else f"none, a cloud of {facts['points']:,} points"),
         ("up", f"{facts['up']['axis']}, {facts['up']['why']}"),
         ("forward", facts["forward"]),

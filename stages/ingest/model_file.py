@@ -6,7 +6,7 @@ What is stated counts; else what would stand more plausibly.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -15,8 +15,9 @@ from scipy.spatial import KDTree
 
 from spinpipe.schemas.arrays import F64, I64
 from spinpipe.stages.geometry.shapes import face_areas_and_normals, sample_surface
+from spinpipe.stages.ingest.readers.coordinates import Coordinates
 from spinpipe.stages.ingest.readers.file_kind import file_kind
-from spinpipe.stages.ingest.readers.mesh import MESHES, read_mesh
+from spinpipe.stages.ingest.readers.mesh import MESHES, collada_asset, read_mesh
 from spinpipe.stages.ingest.readers.open_scene import open_scene
 from spinpipe.stages.stage import StageError
 
@@ -57,6 +58,14 @@ class ModelFile:
     """Why that axis is up, to stand behind its name."""
     doubt: str = ""
     """What the user should look at, empty where nothing."""
+    coordinates: Coordinates = field(default_factory=Coordinates)
+    """Unit as far as the file tells."""
+
+    @property
+    def metres(self) -> float | None:
+        """Metres a unit; None where the file does not say, or has several."""
+        told = set(self.coordinates.metres or ())
+        return told.pop() if len(told) == 1 else None
 
     @property
     def closed(self) -> bool:
@@ -90,14 +99,22 @@ def open_model(path: Path, up: Axis | None, forward: Axis | None) -> ModelFile:
     """
     kind = file_kind(path) if not path.is_dir() else "colmap"
     mesh = read_mesh(path, kind) if kind in MESHES else None
+    said: Axis | None = None
+    why = ""
     if mesh is not None:
-        corners, faces, name, said = mesh.vertices, mesh.faces, mesh.kind, mesh.up is not None
+        corners, faces, name, told = mesh.vertices, mesh.faces, mesh.kind, mesh.coordinates
+        if mesh.up is not None:  # [Khronos glTF 2.0, section 3.4]: the front faces +z
+            said, why = "y", "by the glTF specification"
+        elif kind == "dae":
+            said, why = collada_asset(path)[1], "as the DAE file says"
     else:
         source = open_scene(path)
         chunks = [xyz for xyz, _ in source.chunks(_CHUNK)]
         corners, faces = np.concatenate([np.empty((0, 3)), *chunks]), None
         corners = corners[np.isfinite(corners).all(axis=1)]
-        name, said = f"{source.about.kind} cloud", False
+        name, told = f"{source.about.kind} cloud", source.about.coordinates
+        if kind == "las":
+            said, why = "z", "the height in LAS"
         if len(corners) < _FEWEST:
             raise StageError(
                 f"{path}: has neither faces nor enough points ({len(corners)}, {_FEWEST} are the "
@@ -107,19 +124,23 @@ def open_model(path: Path, up: Axis | None, forward: Axis | None) -> ModelFile:
         raise StageError(
             f"{path}: holds coordinates that are not finite or over {_FARTHEST:g}; repair the model"
         )
+    doubt = ""
     if up is not None:
-        return ModelFile(name, corners, faces, up, forward or _front(corners, up), "as stated")
-    if said:  # [Khronos glTF 2.0, section 3.4]: +y is up, the front faces +z
-        front = forward or _front(corners, "y", "z")  # many exporters leave it at +x
-        return ModelFile(name, corners, faces, "y", front, "by the glTF specification")
-    if kind == "las":
-        front = forward or _front(corners, "z")
-        return ModelFile(name, corners, faces, "z", front, "the height in LAS")
-    chosen, reason, doubt = _plausible_up(corners, faces)
-    if forward is not None and forward[-1] == chosen:
-        chosen, reason, doubt = ("y" if forward[-1] == "z" else "z"), "forward is stated", ""
-    front = forward or _front(corners, chosen)
-    return ModelFile(name, corners, faces, chosen, front, reason, doubt)
+        chosen, why = up, "as stated"
+    elif said is not None:
+        chosen = said
+        if kind == "dae" and said != (other := _plausible_up(corners, faces)[0]):
+            doubt = (
+                f"{said} is taken for up, as the file says, but {other} stands more plausibly; "
+                f"state up = '{said}' or up = '{other}'"
+            )
+    else:
+        chosen, why, doubt = _plausible_up(corners, faces)
+        if forward is not None and forward[-1] == chosen:
+            chosen, why, doubt = ("y" if forward[-1] == "z" else "z"), "forward is stated", ""
+    # many exporters leave the front of glTF at +x
+    front = forward or _front(corners, chosen, "z" if kind in ("glb", "gltf") and not up else "x")
+    return ModelFile(name, corners, faces, chosen, front, why, doubt, told)
 
 
 def _front(corners: F64, up: Axis, usual: Axis = "x") -> Axis:

@@ -39,7 +39,9 @@ class ModelConfig(Section):
         default="all",
         description="which part of a mesh the photos show: all of it or what lies open above",
     )
-    scale: Scale = Field(default=1.0, description="metres per unit of the file")
+    scale: Scale | None = Field(
+        default=None, description="metres per unit of the file; none: as the file says, else 1"
+    )
     up: Axis | None = Field(
         default=None,
         description="axis of the file that points up; none: y for glTF, else z or y, whichever "
@@ -106,7 +108,7 @@ def object_model(config: ModelConfig, file: ModelFile, rng: np.random.Generator)
         When it is too small or too large to be looked for, or its faces have no area.
     """
     where = f"[[model]] '{config.name}': {config.path}"
-    T_object_model = _object_from_model(file, config.scale)
+    T_object_model = _object_from_model(file, config.scale or file.metres or 1.0)
     points = transform(T_object_model, file.corners)
     low, high = extremes(points)
     longest_m = float((high - low).max())

@@ -227,6 +227,11 @@ def model_line(model: ObjectModel, file: ModelFile) -> str:
     return (
         f"model {model.name}: {size} m (length, width, height), {what}; up is {file.up}, "
         f"{file.reason}"
+        + (
+            f"; {file.coordinates.source}: {file.metres:g} m a unit"
+            if file.metres not in (None, 1.0)
+            else ""
+        )
     )
 
 

@@ -9,7 +9,11 @@ from spinpipe.stages.stage import StageError
 
 _HEAD = 1 << 16
 _NUMBER = rb"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?|nan|inf"
-_ROW = re.compile(rb"(%s)([\s,;]+(%s)){2,}[\s,;]*" % (_NUMBER, _NUMBER), re.I)
+_ROW = re.compile(rb"([^\s,;]+[\s,;]+)?(%s)([\s,;]+(%s)){2,}([\s,;].*)?" % (_NUMBER, _NUMBER), re.I)
+_PTX = re.compile(
+    rb"\d+\s*\n\d+\s*\n" + rb"(\S+[ \t]+){2}\S+\s*\n" * 4 + rb"(\S+[ \t]+){3}\S+\s*\n" * 4
+)
+"""Columns, rows, the scanner's place and axes, and its transform: points follow in its frame."""
 
 _BEGINNINGS: tuple[tuple[str, str], ...] = (
     ("ply", r"ply[ \t]*[\r\n]"),
@@ -25,7 +29,7 @@ _BEGINNINGS: tuple[tuple[str, str], ...] = (
     ("gltf", r"\s*\{(?=.*\"asset\"\s*:)"),
     ("opensfm", r"\s*\[?\s*\{(?=.*\"(cameras|shots)\"\s*:)"),
     ("obj", r"([^\n]*\n)*?\s*(v[ \t]+[-\d.]|mtllib[ \t]|vn[ \t]+[-\d.])"),
-    ("stl", r"solid\b(?=.*\bfacet\b)"),
+    ("stl", r"\s*(?i:solid)\b(?=.*\b(?i:facet)\b)"),
 )
 _KINDS = tuple((kind, re.compile(text.encode(), re.S)) for kind, text in _BEGINNINGS)
 
@@ -42,6 +46,17 @@ _OTHERS: tuple[tuple[bytes, str], ...] = (
     (b"\x89HDF", "an HDF5 file; export the cloud as PLY or LAS"),
     (b"Kaydara FBX", "an FBX file; export it as OBJ or GLB"),
     (b"BLENDER", "a Blender project; export it as OBJ or GLB"),
+    (b"ISO-10303-21", "a STEP or IFC file; export it as OBJ or STL"),
+    (b"#usda", "a USD file; export it as GLB or OBJ"),
+    (b"PXR-USDC", "a USD file; export it as GLB or OBJ"),
+    (b"# vtk", "a VTK file; export it as PLY"),
+    (b"DRACO", "a Draco file; unpack it with 'draco_decoder'"),
+    (b"\x93NUMPY", "an array of numpy; write it as text with numpy.savetxt"),
+    (b"II*\0", "a TIFF, a picture or a height model; give the cloud, or its cells as XYZ"),
+    (b"MM\0*", "a TIFF, a picture or a height model; give the cloud, or its cells as XYZ"),
+    (b"ncols ", "a raster of heights; give the cloud, or its cells as XYZ (gdal2xyz)"),
+    (b"\xff\xfe", "text in UTF-16; save it as UTF-8"),
+    (b"\xfe\xff", "text in UTF-16; save it as UTF-8"),
     (b"\x89PNG", "a picture; give the reconstruction made from it"),
     (b"\xff\xd8\xff", "a picture; give the reconstruction made from it"),
     (b"%PDF", "a PDF"),
@@ -89,7 +104,10 @@ def file_kind(path: Path) -> str:
         return "stl"
     if _is_text(head):
         lines = head.splitlines()[: -1 if size > _HEAD else None]
-        if sum(bool(_ROW.fullmatch(line.strip())) for line in lines[:50]) >= min(len(lines), 2) / 2:
+        if _PTX.match(head):
+            raise StageError(f"{path}: this is a PTX file; export it as PTS, E57 or LAS")
+        rows = [line for line in lines[:50] if _ROW.fullmatch(line.replace(b'"', b"").strip())]
+        if len(rows) >= min(len(lines), 2) / 2:
             return "text"
     raise StageError(f"{path}: {_unknown(path)}")
 

@@ -9,19 +9,21 @@ A mesh offered as a scene is sampled evenly over its faces.
 from __future__ import annotations
 
 import json
+import re
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from spinpipe.schemas.arrays import F64, I64, U8
 from spinpipe.schemas.records import Vector
 from spinpipe.stages.geometry.shapes import draw_on_faces, face_areas_and_normals
-from spinpipe.stages.ingest.readers.coordinates import Coordinates, beside
+from spinpipe.stages.ingest.readers.coordinates import Coordinates, beside, from_text
 from spinpipe.stages.ingest.readers.guarded import guarded, readable
+from spinpipe.stages.ingest.readers.ply import read_header
 from spinpipe.stages.ingest.readers.ply_faces import read_ply_mesh
 from spinpipe.stages.ingest.readers.scene_source import About, MemorySource
 from spinpipe.stages.stage import StageError
@@ -31,6 +33,8 @@ SAMPLES = 1_000_000
 """Points drawn from a mesh that is offered as a scene; as many as it has vertices if more."""
 _MESH_SHARE = 0.5
 """A cloud may carry some faces; where they use this share of the vertices they are the scene."""
+_ASSET = 1 << 16
+"""Bytes at the beginning of a DAE file that hold what it says of itself."""
 _SEED = 20100502
 """Of that sample, which belongs to the file and not to the run: 3DOR 2010, 2 May."""
 
@@ -47,6 +51,8 @@ class FileMesh:
     """(V, 3), or None where there are no colours."""
     up: Vector | None = None
     """Up by the format's specification."""
+    coordinates: Coordinates = field(default_factory=Coordinates)
+    """Unit as far as the file tells."""
     kind: str = ""
     used: float = 1.0
     """Share of the file's vertices that a face uses."""
@@ -65,19 +71,17 @@ def read_mesh(path: Path, kind: str) -> FileMesh | None:
         if found is None:
             return None
         vertices, faces, rgb = found
-        up = None
+        up, told = None, from_text(read_header(path).comments, "a comment in the PLY header")
     else:
-        if kind in ("glb", "gltf") and _uses_draco(path, kind) and not _has_draco():
-            raise StageError(
-                f"{path}: its geometry is compressed with Draco; install DracoPy "
-                "(pip install 'spinpipe[draco]'), or export it without compression"
-            )
+        if kind in ("glb", "gltf"):
+            _require_readable(path, kind)
         # imported here once, not in each child
         import trimesh  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
         vertices, faces, rgb = next(iter(guarded(_by_trimesh, path, kind)))
         # glTF: +y is up [Khronos glTF 2.0, section 3.4]
         up = (0.0, 1.0, 0.0) if kind in ("glb", "gltf") else None
+        told = collada_asset(path)[0] if kind == "dae" else None
     if not len(faces):
         return None
     if faces.min() < 0 or faces.max() >= len(vertices):
@@ -91,7 +95,8 @@ def read_mesh(path: Path, kind: str) -> FileMesh | None:
     name = {"gltf": "glTF"}.get(kind, kind.upper())
     colours = None if rgb is None else rgb[used]
     share = float(used.mean())
-    return FileMesh(vertices[used], compact[faces], colours, up, f"{name} mesh", share)
+    told = told or beside(path) or Coordinates()
+    return FileMesh(vertices[used], compact[faces], colours, up, told, f"{name} mesh", share)
 
 
 def sampled_mesh(path: Path, kind: str) -> MemorySource | None:
@@ -112,7 +117,7 @@ def sampled_mesh(path: Path, kind: str) -> MemorySource | None:
         rgb = np.rint(np.einsum("nk,nkc->nc", draw.weights, corners)).astype(np.uint8)
     about = About(
         kind=f"{mesh.kind} of {len(mesh.faces):,} faces",
-        coordinates=beside(path) or Coordinates(),
+        coordinates=mesh.coordinates,
         up=mesh.up,
         up_reason="glTF: y is up" if mesh.up else "",
         notes=(f"a mesh, not a cloud: {count:,} points drawn from its {len(faces):,} faces",),
@@ -139,20 +144,58 @@ def _by_trimesh(path: Path, kind: str) -> Iterator[tuple[F64, I64, U8 | None]]:
     yield np.asarray(mesh.vertices, np.float64).reshape(-1, 3), faces, rgb
 
 
-def _uses_draco(path: Path, kind: str) -> bool:
-    """Whether a glTF file's JSON asks for the extension [KHR_draco_mesh_compression]."""
+def collada_asset(path: Path) -> tuple[Coordinates | None, Literal["x", "y", "z"] | None]:
+    """Unit and axis that a DAE file says is up, as far as it does [COLLADA 1.4.1, asset]."""
+    with path.open("rb") as file:
+        head = file.read(_ASSET)
+    unit = re.search(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([0-9.eE+-]+)[\"']", head)
+    axis = re.search(rb"<up_axis>\s*([XYZ])_UP\s*</up_axis>", head)
     try:
-        with path.open("rb") as file:
-            if kind == "glb":
-                (length,) = struct.unpack_from("<I", file.read(20), 12)
-                text = file.read(min(length, path.stat().st_size))
-            else:
-                text = file.read()
-        document = json.loads(text)
-        used = [*document.get("extensionsUsed", []), *document.get("extensionsRequired", [])]
-        return "KHR_draco_mesh_compression" in used
-    except (ValueError, struct.error, AttributeError):
-        return False  # trimesh says what is wrong with it
+        metres = float(unit[1]) if unit else 1.0
+    except ValueError:
+        metres = 1.0
+    told = None
+    if unit and 0 < metres < np.inf and metres != 1:
+        told = Coordinates(
+            name=f"{metres:g} m", metres=(metres, metres, metres), source="unit of the DAE file"
+        )
+    up: dict[bytes, Literal["x", "y", "z"]] = {b"X": "x", b"Y": "y", b"Z": "z"}
+    return told, up[axis[1]] if axis else None
+
+
+def _require_readable(path: Path, kind: str) -> None:
+    """Refuse glTF whose geometry trimesh would read wrongly, or not at all.
+
+    [Khronos glTF 2.0, sections 3.6.2.3 and 3.12; KHR_draco_mesh_compression;
+    EXT_meshopt_compression]
+    """
+    document = _gltf_document(path, kind)
+    used = [*document.get("extensionsUsed", []), *document.get("extensionsRequired", [])]
+    if "KHR_draco_mesh_compression" in used and not _has_draco():
+        raise StageError(
+            f"{path}: its geometry is compressed with Draco; install DracoPy "
+            "(pip install 'spinpipe[draco]'), or export it without compression"
+        )
+    if any(name.endswith("_meshopt_compression") for name in used):
+        raise StageError(
+            f"{path}: its geometry is compressed with meshopt; export it without compression"
+        )
+    for mesh in document.get("meshes", []):
+        for primitive in mesh["primitives"]:
+            wanted = (primitive["attributes"].get("POSITION"), primitive.get("indices"))
+            if any("sparse" in document["accessors"][i] for i in wanted if i is not None):
+                raise StageError(
+                    f"{path}: its geometry is stored as sparse accessors; export it without them"
+                )
+
+
+def _gltf_document(path: Path, kind: str) -> dict[str, Any]:
+    """The JSON of a glTF file."""
+    with readable(path, "mesh", "export it again"), path.open("rb") as file:
+        if kind == "glb":
+            (length,) = struct.unpack_from("<I", file.read(20), 12)
+            return json.loads(file.read(min(length, path.stat().st_size)))
+        return json.load(file)
 
 
 def _has_draco() -> bool:

@@ -1,7 +1,8 @@
 """Clouds as lines of numbers: XYZ, TXT, CSV, ASC, PTS, and the vertices of OBJ files.
 
 There is no standard: columns are separated by blanks, commas, semicolons or tabs, decimals by a
-point or a comma, a line of names may stand first, and PTS puts the number of points there.
+point or a comma, numbers may be quoted, a title and a line of names may stand first, a name or a
+running number before each point, and PTS puts the number of points before each of its scans.
 """
 
 from __future__ import annotations
@@ -9,14 +10,14 @@ from __future__ import annotations
 import itertools
 import re
 import warnings
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from spinpipe.schemas.arrays import F64
-from spinpipe.stages.ingest.readers.coordinates import Coordinates, beside, from_text
+from spinpipe.stages.ingest.readers.coordinates import Coordinates, beside, from_text, from_unit
 from spinpipe.stages.ingest.readers.point_fields import full_colour, to_8_bit
 from spinpipe.stages.ingest.readers.scene_source import About, Chunk, white
 from spinpipe.stages.stage import StageError
@@ -26,13 +27,15 @@ _NUMBER = re.compile(rb"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?nan|[-+]?inf"
 _DECIMAL_COMMA = re.compile(rb"[-+]?\d*,\d+([eE][-+]?\d+)?")
 _COMMENTS = (b"#", b"//", b"%", b"!")
 _NAMES = {
-    "x": "x|east(ing)?|px|x_?coord\\w*|lon(gitude)?",
-    "y": "y|north(ing)?|py|y_?coord\\w*|lat(itude)?",
-    "z": "z|elev(ation)?|height|alt(itude)?|pz|z_?coord\\w*",
+    "x": "x|e|east(ing)?|px|x_?coord\\w*|lon(gitude)?",
+    "y": "y|n|north(ing)?|py|y_?coord\\w*|lat(itude)?",
+    "z": "z|h|elev(ation)?|height|alt(itude)?|pz|z_?coord\\w*",
     "red": "r|red|diffuse_red",
     "green": "g|green|diffuse_green",
     "blue": "b|blue|diffuse_blue",
 }
+_UNIT = re.compile(r"[\s_]*[\[(]([^\])]*)[\])]$|[\s_]+([a-z]+)$")
+"""Behind the name of a column, in brackets or not."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,8 @@ class _Layout:
     """x, y, z and, where there are colours, red, green, blue."""
     skipped: int
     """Lines before the first row."""
+    counts: int | None
+    """Points that the file said by then to have; None where it does not."""
 
 
 class TextSource:
@@ -72,10 +77,15 @@ class TextSource:
             head = list(itertools.islice(file, 100_000 if prefix else _HEAD_LINES))
         self._layout = self._understand(head)
         self.coloured = len(self._layout.columns) == 6
+        self._promised = self._layout.counts or 0
         self.points = sum(len(lines) for _, lines in self._blocks(1 << 20))
+        if self.points < self._promised:
+            raise StageError(
+                f"{path}: cut short, {self._promised - self.points:,} of {self._promised:,} points "
+                "are missing; copy or export the file again"
+            )
         self._full: float | None = None
         named = self._layout.names
-        degrees = bool(named) and re.match("lon|lat", named[self._layout.columns[0]]) is not None
         comments = [line.decode("utf-8", "replace") for line in head if _is_comment(line)]
         told = beside(path) or from_text(comments, "a comment in the file")
         dialect = {None: "blanks", b",": "commas", b";": "semicolons"}[self._layout.separator]
@@ -83,7 +93,7 @@ class TextSource:
             kind=f"{'OBJ vertices' if prefix else 'text'}, columns parted by {dialect}"
             + (", decimal commas" if self._layout.decimal_comma else ""),
             fields=tuple(n for i, n in enumerate(named) if i not in self._layout.columns),
-            coordinates=told or Coordinates(degrees=degrees, source="names of the columns"),
+            coordinates=told or _by_names([named[i] for i in self._layout.columns[:3] if named]),
         )
 
     def chunks(self, points: int) -> Iterator[Chunk]:
@@ -97,7 +107,7 @@ class TextSource:
             yield np.ascontiguousarray(rows[:, :3]), rgb
 
     def _understand(self, head: list[bytes]) -> _Layout:
-        skipped, names = 0, ()
+        skipped, counts, names = 0, None, ()
         for number, raw in enumerate(head):
             line = self._stripped(raw)
             if line is None:
@@ -105,52 +115,41 @@ class TextSource:
                 continue
             separator, decimal_comma = _separator(line)
             words = _words(line, separator, decimal_comma)
-            if all(_NUMBER.fullmatch(word) for word in words):
-                if len(words) < 3 and number < 2:  # PTS begins with the number of points
-                    skipped += 1
-                    continue
-                if len(words) >= 3:
-                    columns = self._columns(names, head[number:], len(words))
-                    return _Layout(separator, decimal_comma, names, columns, skipped)
-            elif not names and not self._prefix:
-                names = tuple(
-                    w.strip(b"\"' /").decode("utf-8", "replace").lower() for w in words if w
+            numeric = [_NUMBER.fullmatch(word) is not None for word in words]
+            columns = _named_columns(names)
+            if columns and max(columns) < len(words):
+                row = all(numeric[column] for column in columns)
+            else:
+                row = len(words) >= 3 and all(numeric[not numeric[0] and len(words) > 3 :])
+            if row:
+                if self._prefix and len(words) == 6:  # vertices with colours, OBJ has no others
+                    columns = tuple(range(6))
+                if not columns:
+                    sample = [self._stripped(row) for row in head[number : number + 50]]
+                    columns = _guessed_columns(
+                        [_words(one, separator, decimal_comma) for one in sample if one]
+                    )
+                names = names if len(names) >= len(words) else ()
+                return _Layout(separator, decimal_comma, names, columns, skipped, counts)
+            if len(words) == 1 and words[0].isdigit():
+                counts = int(words[0])
+            elif 2 * sum(numeric) >= len(words) or self._prefix:
+                raise StageError(
+                    f"{self._path}: line {number + 1} is no point ('{_short(line)}'); "
+                    "each line needs x, y and z"
                 )
-                skipped += 1
-                continue
-            raise StageError(
-                f"{self._path}: line {number + 1} is no point ('{_short(line)}'); "
-                "each line needs x, y and z"
-            )
+            else:
+                found = tuple(w.strip(b"' /").decode("utf-8", "replace").lower() for w in words)
+                names = found if any(re.match(r"[a-z]", name) for name in found) else names
+            skipped += 1
         raise StageError(f"{self._path}: no line holds x, y and z; export it again")
-
-    def _columns(self, names: tuple[str, ...], rows: list[bytes], count: int) -> tuple[int, ...]:
-        found: dict[str, int] = {}
-        for wanted, pattern in _NAMES.items():
-            for i, name in enumerate(names[:count]):
-                if wanted not in found and re.fullmatch(pattern, name.split("[")[0].strip()):
-                    found[wanted] = i
-        if {"x", "y", "z"} <= set(found):
-            colours = ("red", "green", "blue")
-            wanted = ("x", "y", "z", *(colours if set(colours) <= set(found) else ()))
-            return tuple(found[name] for name in wanted)
-        if names and not any(re.match(r"[a-z]", n) for n in names):
-            names = ()
-        # x y z r g b, or x y z intensity r g b: whole numbers up to 255
-        sample = [self._stripped(row) for row in rows[:50]]
-        table = [_words(line, *_separator(line)) for line in sample if line]
-        for first in {6: (3,), 7: (4, 3)}.get(count, (3,) if count > 7 else ()):
-            cells = [w for words in table if len(words) == count for w in words[first : first + 3]]
-            if cells and all(re.fullmatch(rb"\d{1,3}(\.0*)?", w) and float(w) < 256 for w in cells):
-                return (0, 1, 2, first, first + 1, first + 2)
-        return (0, 1, 2)
 
     def _stripped(self, raw: bytes) -> bytes | None:
         """The numbers of a line; None where it is empty, a comment or something else."""
-        line = raw.strip().removeprefix(b"\xef\xbb\xbf")
+        line = raw.strip(b"\r\n\t ,;").removeprefix(b"\xef\xbb\xbf").replace(b'"', b"")
         if self._prefix:
-            first, _, line = line.partition(b" ")
-            return line.strip() if first == self._prefix else None
+            first, *rest = line.split(None, 1)[:2] or [b""]
+            return rest[0] if rest and first == self._prefix else None
         return line if line and not _is_comment(line) else None
 
     def _blocks(self, points: int) -> Iterator[tuple[int, list[bytes]]]:
@@ -158,10 +157,22 @@ class TextSource:
         with self._path.open("rb") as file:
             lines = itertools.islice(file, self._layout.skipped, None)
             rows = (line for raw in lines if (line := self._stripped(raw)) is not None)
+            if self._layout.counts is not None:
+                rows = self._without_counts(rows)
             start = 0
             while block := list(itertools.islice(rows, points)):
                 yield start, block
                 start += len(block)
+
+    def _without_counts(self, rows: Iterable[bytes]) -> Iterator[bytes]:
+        """Rows, without the numbers of points that stand before each further scan."""
+        promised = self._layout.counts or 0
+        for row in rows:
+            if row.isdigit():
+                promised += int(row)
+            else:
+                yield row
+        self._promised = promised
 
     def _rows(self, points: int) -> Iterator[F64]:
         layout = self._layout
@@ -201,6 +212,60 @@ def _separator(line: bytes) -> tuple[bytes | None, bool]:
 def _words(line: bytes, separator: bytes | None, decimal_comma: bool) -> list[bytes]:
     words = [word.strip() for word in line.split(separator)]
     return [word.replace(b",", b".") for word in words] if decimal_comma else words
+
+
+def _named_columns(names: tuple[str, ...]) -> tuple[int, ...]:
+    """Columns of x, y, z and the colours by their names; none where x, y or z is missing."""
+    plain = [_name_and_unit(name)[0] for name in names]
+    found: dict[str, int] = {}
+    for wanted, patterns in _NAMES.items():
+        for pattern in patterns.split("|"):
+            for i, name in enumerate(plain):
+                if wanted not in found and re.fullmatch(pattern, name):
+                    found[wanted] = i
+    colours = ("red", "green", "blue")
+    wanted = ("x", "y", "z", *(colours if set(colours) <= set(found) else ()))
+    return tuple(found[name] for name in wanted) if set(wanted) <= set(found) else ()
+
+
+def _name_and_unit(name: str) -> tuple[str, Coordinates | None]:
+    """``x [ft]`` and ``x_ft`` are x in feet; ``x_coord`` is a name."""
+    match = _UNIT.search(name)
+    if match is None:
+        return name, None
+    unit = from_unit((match[1] or match[2] or "").strip(), "names of the columns")
+    return (name[: match.start()], unit) if unit or match[2] is None else (name, None)
+
+
+def _guessed_columns(table: list[list[bytes]]) -> tuple[int, ...]:
+    """Columns of x, y, z and the colours of unnamed ones, by the words of the first rows.
+
+    A name or a running number may stand first, intensity between coordinates and colours. Colours
+    are whole numbers up to 255 of which one is over 1: else they are components of normals.
+    """
+    count = len(table[0])
+    table = [words for words in table if len(words) == count]
+    first = [words[0] for words in table]
+    running = [b"%d" % (int(first[0]) + i) for i in range(len(first))] if first[0].isdigit() else []
+    numbered = len(first) > 2 and first == running
+    begin = int(count > 3 and (numbered or not _NUMBER.fullmatch(first[0])))
+    for red in {6: (3,), 7: (4, 3)}.get(count - begin, (3,) if count - begin > 7 else ()):
+        cells = [word for words in table for word in words[begin + red : begin + red + 3]]
+        whole = all(re.fullmatch(rb"\d{1,3}(\.0*)?", word) for word in cells)
+        if whole and 1 < max(map(float, cells)) < 256:
+            return tuple(begin + i for i in (0, 1, 2, red, red + 1, red + 2))
+    return (begin, begin + 1, begin + 2)
+
+
+def _by_names(names: list[str]) -> Coordinates:
+    """What the names of x, y and z say of their units."""
+    if names and re.match("lon|lat", names[0]):
+        return Coordinates(degrees=True, source="names of the columns")
+    units = [unit for _, unit in map(_name_and_unit, names) if unit and unit.metres]
+    if len(units) < 3:
+        return Coordinates()
+    x, y, z = (unit.metres[0] for unit in units if unit.metres)
+    return replace(units[0], metres=(x, y, z))
 
 
 def _short(line: bytes) -> str:

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import struct
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,7 @@ import pytest
 import trimesh
 
 from spinpipe.stages.ingest.model_file import open_model
+from spinpipe.stages.ingest.object_model import ModelConfig, object_model
 from spinpipe.stages.ingest.readers.mesh import read_mesh
 from spinpipe.stages.ingest.readers.open_scene import open_scene
 from spinpipe.stages.stage import StageError
@@ -100,6 +103,7 @@ ROWS = "\n".join(" ".join(f"{v:.6f}" for v in row) for row in XYZ)
 COLOURED = "\n".join(
     " ".join([*(f"{v:.6f}" for v in p), *map(str, c)]) for p, c in zip(XYZ, RGB, strict=True)
 )
+LINES = COLOURED.split("\n")
 
 
 @pytest.mark.parametrize(
@@ -115,17 +119,20 @@ COLOURED = "\n".join(
         ("x;y;z\n" + ROWS.replace(" ", ";"), False),
         ("//X Y Z R G B\n" + COLOURED, True),
         ("Easting,Northing,Elevation,Red,Green,Blue\r\n" + COLOURED.replace(" ", ","), True),
-        ("\n".join(f"{i} {row}" for i, row in enumerate(ROWS.split("\n"))), None),
+        ("\n".join(f"{i} {row}" for i, row in enumerate(ROWS.split("\n"))), False),
+        ("\n".join(f"P{i},{row}".replace(" ", ",") for i, row in enumerate(LINES)), True),
+        ("Exported by a Tool 3.1\nProject: yard\n\n" + ROWS, False),
+        ('"n","x [m]","y_m","z (m)"\n"7",' + ROWS.replace(" ", ",").replace("\n", '\n"7",'), False),
+        (ROWS.replace(" ", ", ").replace("\n", ",\n"), False),
+        ("\n".join(["2", *LINES[:2], "2", *LINES[2:]]), True),
+        ("\n".join(f"{row} 0.0 0.6 0.8" for row in ROWS.split("\n")), False),
         ("id x y z\n" + "\n".join(f"{i} {row}" for i, row in enumerate(ROWS.split("\n"))), False),
     ],
 )
-def test_text(tmp_path: Path, text: str, coloured: bool | None) -> None:
+def test_text(tmp_path: Path, text: str, coloured: bool) -> None:
     path = tmp_path / "cloud"
     path.write_text(text)
     xyz, rgb = read(path)
-    if coloured is None:  # unnamed columns: the first three
-        np.testing.assert_allclose(xyz[:, 1:], XYZ[:, :2], atol=1e-6)
-        return
     np.testing.assert_allclose(xyz, XYZ, atol=1e-6)
     assert open_scene(path).coloured == coloured
     np.testing.assert_array_equal(rgb, RGB if coloured else np.full_like(RGB, 255))
@@ -136,6 +143,22 @@ def test_damaged_text_names_the_place(tmp_path: Path) -> None:
     path.write_text(ROWS + "\n1 2\n")
     with pytest.raises(StageError, match="cannot read points 3 to 5 of 5"):
         read(path)
+    path.write_text("5\n" + ROWS)
+    with pytest.raises(StageError, match="cut short, 1 of 5 points are missing"):
+        open_scene(path)
+    path.write_text("x y z\n1 2 abc\n" + ROWS)
+    with pytest.raises(StageError, match=r"line 2 is no point \('1 2 abc'\)"):
+        open_scene(path)
+
+
+@pytest.mark.parametrize(
+    ("names", "unit"),
+    [("x [ft],y [ft],z [ft]", 0.3048), ("x_mm,y_mm,z_mm", 1e-3), ("x_coord,y_coord,h", None)],
+)
+def test_units_in_the_names_of_columns(tmp_path: Path, names: str, unit: float | None) -> None:
+    path = tmp_path / "cloud.csv"
+    path.write_text(f"{names}\n" + ROWS.replace(" ", ","))
+    assert open_scene(path).about.coordinates.metres == (unit and (unit, unit, unit))
 
 
 @pytest.mark.parametrize(
@@ -148,6 +171,9 @@ def test_damaged_text_names_the_place(tmp_path: Path) -> None:
         (b"\0\x01\x02" * 50, "of no known format"),
         (b"once upon a time\nthere was a cloud\n", "of no known format"),
         (b"\0" * 100, "the file is empty"),
+        (b"4\n1\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n", "a PTX file"),
+        ("x,y,z\n1,2,3\n".encode("utf-16"), "text in UTF-16; save it as UTF-8"),
+        (b"ncols 2\nnrows 1\n1 2\n", "a raster of heights"),
     ],
 )
 def test_files_that_are_no_cloud(tmp_path: Path, content: bytes, message: str) -> None:
@@ -241,16 +267,46 @@ def test_vertices_of_obj_files(tmp_path: Path) -> None:
     lines = [f"v {x} {y} {z} {r / 255} {g / 255} {b / 255}" for (x, y, z), (r, g, b) in
              zip(XYZ, RGB, strict=True)]  # fmt: skip
     (tmp_path / "cloud.obj").write_text("# vertices\nmtllib no.mtl\n" + "\n".join(lines) + "\n")
-    xyz, _ = read(tmp_path / "cloud.obj")
+    xyz, rgb = read(tmp_path / "cloud.obj")
     np.testing.assert_allclose(xyz, XYZ)
+    np.testing.assert_array_equal(rgb, RGB)
 
 
-def test_dae_as_a_model(tmp_path: Path) -> None:
-    box: Any = trimesh.creation.box(bounds=[(0, 0, 0), (4, 2, 1)])
-    box.export(tmp_path / "box.dae")
-    model = open_model(tmp_path / "box.dae", "z", "x")
-    np.testing.assert_allclose(np.ptp(model.corners, axis=0), (4, 2, 1), atol=1e-6)
+@pytest.mark.parametrize("axis", ["Y", "Z"])
+def test_dae_says_its_unit_and_which_axis_is_up(tmp_path: Path, axis: str) -> None:
+    path = tmp_path / "box.dae"
+    trimesh.creation.box(bounds=[(0, 0, 0), (400, 200, 100)]).export(path)
+    text = path.read_text()
+    asset = f'<unit name="cm" meter="0.01"/>\n<up_axis>{axis}_UP</up_axis>\n</asset>'
+    path.write_text(re.sub(r"<unit.*?/>\s*|<up_axis>.*?</up_axis>\s*", "", text, flags=re.S)
+                    .replace("</asset>", asset))  # fmt: skip
+    model = open_model(path, None, None)
+    assert (model.up, model.metres) == (axis.lower(), 0.01)
+    assert model.reason == "as the DAE file says"
     assert model.closed
+    for scale, length_m in ((None, 4.0), (0.1, 40.0)):
+        config = ModelConfig(name="box", path=path, scale=scale)
+        built = object_model(config, model, np.random.default_rng(0))
+        assert built.size[0] == pytest.approx(length_m)
+
+
+@pytest.mark.parametrize(
+    ("accessor", "used", "message"),
+    [
+        ({"sparse": {}}, [], "sparse accessors; export it without"),
+        ({}, ["EXT_meshopt_compression"], "compressed with meshopt; export it without"),
+    ],
+)
+def test_gltf_that_would_be_read_wrongly(
+    tmp_path: Path, accessor: dict[str, Any], used: list[str], message: str
+) -> None:
+    path = tmp_path / "box.gltf"
+    trimesh.creation.box().export(path)
+    document = json.loads(path.read_text())
+    document["accessors"] = [item | accessor for item in document["accessors"]]
+    path.write_text(json.dumps(document | {"extensionsRequired": used}))
+    with pytest.raises(StageError, match=message):
+        read_mesh(path, "gltf")
 
 
 def test_las_whose_header_says_no_points(tmp_path: Path, shared_data: Path) -> None:
