@@ -13,6 +13,7 @@ import pytest
 
 distributed = pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
 
+from spinpipe.pipeline import engine  # noqa: E402
 from spinpipe.pipeline.commands import execute  # noqa: E402
 from spinpipe.pipeline.config import load_config  # noqa: E402
 from spinpipe.pipeline.context import RunReader  # noqa: E402
@@ -90,7 +91,8 @@ def test_a_worker_killed_in_the_middle_costs_nothing(cluster, example, local, tm
     assert results(folder) == results(local)
 
 
-def test_no_scheduler_is_one_clear_line(example, tmp_path):
+def test_no_scheduler_is_one_clear_line(example, tmp_path, monkeypatch):
+    monkeypatch.setattr(engine, "CONNECT_TIMEOUT_S", 1)
     with pytest.raises(Exception, match="no Dask scheduler answers") as error:
         run(
             example,

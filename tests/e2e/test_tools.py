@@ -151,10 +151,10 @@ def test_planted_objects_are_found(cli: Cli, yard_run: YardRun) -> None:
 def test_paper_writes_tables_and_figures(
     cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(experiments, "make_scene", partial(make_scene, 20_000))
-    monkeypatch.setattr(experiments, "MAX_CANDIDATES", 10)
+    monkeypatch.setattr(experiments, "make_scene", partial(make_scene, 15_000))
+    monkeypatch.setattr(experiments, "MAX_CANDIDATES", 6)
     monkeypatch.setattr(paper, "NOISE_M", (0.0, 0.1))
-    monkeypatch.setattr(paper, "SAMPLES", (100, 200))
+    monkeypatch.setattr(paper, "SAMPLES", (50, 100))
     outcome = cli("paper", "-o", tmp_path / "out")
     assert outcome.code == 0, outcome.err
     text = (tmp_path / "out" / "paper.md").read_text()

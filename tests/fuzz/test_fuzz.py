@@ -11,7 +11,7 @@ FORMATS = ("ply", "colmap-points", "pcd", "text", "toml", "mcap", "labels")
 
 
 def test_readers_read_or_refuse_damaged_files() -> None:
-    command = [sys.executable, str(READERS), "--executions", "25", "--formats", *FORMATS]
+    command = [sys.executable, str(READERS), "--executions", "10", "--formats", *FORMATS]
     done = subprocess.run(command, capture_output=True, text=True, timeout=500)
     assert done.returncode == 0, done.stdout
     assert len(done.stdout.splitlines()) == len(FORMATS)

@@ -55,7 +55,7 @@ def still(finished_yard: YardRun, yard: Yard) -> list[F64]:
     return found
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(1))
 def test_the_order_of_points_changes_no_byte(
     cli: Cli, yard: Yard, finished_yard: YardRun, tmp_path: Path, seed: int
 ) -> None:
@@ -65,7 +65,7 @@ def test_the_order_of_points_changes_no_byte(
     assert (output / "detections.json").read_bytes() == expected
 
 
-@pytest.mark.parametrize("tile_points", [1024, 5000, 1_000_000])
+@pytest.mark.parametrize("tile_points", [1024, 1_000_000])
 def test_tiles_change_no_hit_and_no_detection(
     cli: Cli, yard: Yard, finished_yard: YardRun, tmp_path: Path, tile_points: int
 ) -> None:
@@ -81,7 +81,7 @@ def test_tiles_change_no_hit_and_no_detection(
     assert (output / "detections.json").read_bytes() == expected
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(1))
 def test_far_clutter_changes_nothing(
     cli: Cli, yard: Yard, still: list[F64], tmp_path: Path, seed: int
 ) -> None:
@@ -101,7 +101,7 @@ def test_far_clutter_changes_nothing(
     assert_same_poses(found, still)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_detections_move_with_the_scene(
     cli: Cli, yard: Yard, still: list[F64], tmp_path: Path, seed: int
 ) -> None:

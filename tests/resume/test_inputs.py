@@ -38,7 +38,7 @@ def test_an_input_that_changes_while_it_is_read_is_not_taken(
             aside.replace(scene)
         return opened(*arguments)
 
-    run = ("run", yard_run.config, "-o", yard_run.output, "--rerun", "off")
+    run = ("run", yard_run.config, "-o", yard_run.output, "--rerun", "off", "--until", "ingest")
     with mock.patch.object(ingest, "open_scene", late):
         outcome = cli(*run, "--from", "ingest")
     assert outcome.code == 1

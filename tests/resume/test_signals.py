@@ -37,9 +37,9 @@ def start(run: YardRun, *options: str) -> subprocess.Popen[str]:
 @pytest.mark.parametrize(
     ("number", "share"),
     [
-        *((signal.SIGINT, share) for share in (0.0, 0.3, 0.6)),
+        *((signal.SIGINT, share) for share in (0.0, 0.5)),
         (signal.SIGTERM, 0.3),
-        (signal.SIGHUP, 0.6),
+        (signal.SIGHUP, 0.5),
     ],
 )
 def test_a_signal_ends_the_run_and_leaves_nothing(
@@ -50,7 +50,7 @@ def test_a_signal_ends_the_run_and_leaves_nothing(
     handlers = f"/proc/{process.pid}/status"
     while not _ready(handlers):  # until then Python itself answers, not we
         time.sleep(0.001)
-    time.sleep(share * 5)
+    time.sleep(share * 4)
     process.send_signal(number)
     _, err = process.communicate(timeout=HANGS_S)
     assert (process.returncode, err) == (128 + number, SENTENCE)

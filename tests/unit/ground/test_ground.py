@@ -27,7 +27,7 @@ from spinpipe.stages.stage import StageError
 
 
 @given(seed=st.integers(0, 10_000), noise_m=st.sampled_from([0.0, 0.02, 0.1, 0.2]))
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=6, deadline=None)
 def test_any_orientation_and_noise(seed, noise_m):
     rng = np.random.default_rng(seed)
     scene = car_park(rng)
@@ -48,7 +48,7 @@ def test_any_orientation_and_noise(seed, noise_m):
     assert upright.translation[:2] == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_turning_the_input_turns_the_answer(seed):
     rng = np.random.default_rng(seed)
     scene = car_park(rng) + rng.normal(0, 0.03, 3)
@@ -279,14 +279,14 @@ def tables(rng, noise_m, spacing_m=0.02):
     return scene + noise_m * rng.standard_normal(scene.shape)
 
 
-@pytest.mark.parametrize("noise_m", [0.0, 0.01, 0.02, 0.04])
+@pytest.mark.parametrize("noise_m", [0.0, 0.04])
 def test_furniture_at_any_noise(noise_m):
     turn = Rotation.random(random_state=4)
     scene = turn.apply(tables(np.random.default_rng(19), noise_m))
     assert angle_deg(up_of(scene), turn.apply(UP)) < 0.5
 
 
-@pytest.mark.parametrize("noise_m", [0.25, 0.3])
+@pytest.mark.parametrize("noise_m", [0.3])
 def test_noise_of_several_spacings(noise_m):
     """Three times as thick as the points are apart."""
     scene = car_park(np.random.default_rng(20), cars=10, size=40.0)
@@ -313,7 +313,7 @@ def test_exactly_level_ground_without_noise():
     assert abs(plane.offset) < 1e-3
 
 
-@pytest.mark.parametrize("noise_m", [0.0, 0.01, 0.05, 0.2])
+@pytest.mark.parametrize("noise_m", [0.0, 0.01, 0.2])
 def test_measured_sampling_is_that_of_the_scene(noise_m):
     rng = np.random.default_rng(24)
     scene = car_park(rng)
@@ -344,7 +344,7 @@ def ramps(rng, tilt_deg):
     return scene + rng.normal(0, 0.02, scene.shape)
 
 
-@pytest.mark.parametrize("tilt_deg", [3.2, 8, 15, 30])
+@pytest.mark.parametrize("tilt_deg", [3.2, 30])
 def test_up_does_not_follow_ramps(tilt_deg):
     turn = Rotation.random(random_state=int(tilt_deg))
     scene = turn.apply(ramps(np.random.default_rng(25), tilt_deg))

@@ -17,11 +17,11 @@ GRIDS = [
 ]
 
 
-def rough_ground(rng, n=12_000):
+def rough_ground(rng, n=6_000):
     return rng.random((n, 3)) * [6, 5, 0] + rng.normal(0, 0.03, (n, 1)) * [0, 0, 1]
 
 
-def boxes_on_ground(rng, n=12_000):
+def boxes_on_ground(rng, n=6_000):
     cloud = rough_ground(rng, n)
     for x, y in rng.random((4, 2)) * [5, 4]:
         inside = (abs(cloud[:, 0] - x) < 0.8) & (abs(cloud[:, 1] - y) < 0.4)
@@ -29,20 +29,20 @@ def boxes_on_ground(rng, n=12_000):
     return cloud
 
 
-def wall(rng, n=12_000):
+def wall(rng, n=6_000):
     return rng.random((n, 3)) * [4, 0.02, 5]
 
 
-def foliage(rng, n=12_000):
+def foliage(rng, n=6_000):
     return rng.normal(0, 0.8, (n, 3))
 
 
-def layers(rng, n=12_000):
+def layers(rng, n=6_000):
     """Exactly level sheets and points exactly above each other."""
     return rng.integers(0, 40, (n, 3)) * [0.1, 0.1, 0.125]
 
 
-def far_boxes(rng, n=12_000):
+def far_boxes(rng, n=6_000):
     return boxes_on_ground(rng, n) + np.array([3e5, -4e5, 50])
 
 
@@ -62,9 +62,8 @@ def likely_templates(cloud, grid, rng):
 
 
 @pytest.mark.parametrize("make", CLOUDS)
-@pytest.mark.parametrize("seed", [0, 1])
-def test_hits_equal_the_exhaustive_scan(make, seed):
-    rng = np.random.default_rng(seed)
+def test_hits_equal_the_exhaustive_scan(make):
+    rng = np.random.default_rng(0)
     cloud = make(rng)
     index = build_index(cloud)
     for grid in GRIDS:

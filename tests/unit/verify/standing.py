@@ -1,5 +1,7 @@
 """Things that stand on level ground, sampled, and what verification says of them."""
 
+import functools
+
 import numpy as np
 
 from spinpipe.schemas.records import CloudTile, TileIndex, Upright
@@ -15,8 +17,16 @@ from spinpipe.stages.verify.model.known_object import KnownObject
 
 def known_object(name, mesh, stretch=0.0, visible_from="all"):
     """A model, sampled on its whole surface."""
+    field = _field(name, *(tuple(map(tuple, rows.tolist())) for rows in mesh))
+    return KnownObject(name, field, stretch, visible_from)
+
+
+@functools.cache
+def _field(name, vertices, faces):
+    """Fields take a second: tests share them."""
+    mesh = np.array(vertices), np.array(faces)
     points, normals = sample_surface(*mesh, 40_000, np.random.default_rng(0))
-    return KnownObject(name, build_model_field(name, points, normals), stretch, visible_from)
+    return build_model_field(name, points, normals)
 
 
 def cloud_of(items, extent, density, noise=0.0, seed=1):

@@ -1,20 +1,43 @@
-"""The coarse search with bounds finds what an exhaustive one finds."""
+"""Bounds of the coarse search: never lower than the gain, and what their plain twin says."""
+
+import functools
 
 import numpy as np
 import pytest
+from numba import njit
 from tests.unit.verify import twins
 
 from spinpipe.schemas.records import Sampling
+from spinpipe.stages.compiled import sources
 from spinpipe.stages.geometry.shapes import Mesh, box, merged, placed, sample_surface
 from spinpipe.stages.ingest.vehicles import vehicle_mesh
+from spinpipe.stages.verify.fit.coarse_bounds import gain_bounds
 from spinpipe.stages.verify.judge import kernels
-from spinpipe.stages.verify.judge.hypotheses import Place, coarse_poses
+from spinpipe.stages.verify.judge.hypotheses import Place
 from spinpipe.stages.verify.judge.tolerance import tolerance
 from spinpipe.stages.verify.model.field import build_model_field
 from spinpipe.stages.verify.scene.cell_grid import grid_of
 
 SAMPLING = Sampling(0.1, 0.02)
-KEEP = 3
+
+
+def _kernels(sources):
+    @njit(cache=True)
+    def bounds_of(body, ground, field, limits, base, tall, enough, bounds):
+        """``gain_bounds`` by itself, which is only called by other kernels."""
+        _ = sources
+        gain_bounds(body, ground, field, limits, base, tall, enough, bounds)
+
+    return bounds_of
+
+
+bounds_of = _kernels(sources("verify"))
+
+
+@functools.cache
+def field_of(kind):
+    points, normals = sample_surface(*vehicle_mesh(kind), 30_000, np.random.default_rng(0))
+    return build_model_field(kind, points, normals)
 
 
 @pytest.fixture(scope="module")
@@ -33,25 +56,26 @@ def scene():
 
 
 @pytest.mark.parametrize(("kind", "stretch"), [("saloon", 0.15), ("van", 0.0)])
-def test_bounds_leave_out_only_what_is_not_among_the_best(scene, kind, stretch):
-    points, normals = sample_surface(*vehicle_mesh(kind), 30_000, np.random.default_rng(0))
-    field = build_model_field(kind, points, normals)
-    limits = tolerance(field, stretch, SAMPLING, 0.03)
-    places = np.array([[0.2, 0.1, 1.4], [2.3, 1.2, 1.9], [5, 5, 1.2]])
-    for x, y, top in places:
+def test_no_pose_gains_more_than_its_bound(scene, kind, stretch):
+    """And bounds are what their twin says; that none is left out wrongly is in ``test_twins``."""
+    field = field_of(kind)
+    limits = tolerance(field, stretch, SAMPLING, 0.03)._replace(headings=6)
+    for x, y, top in np.array([[0.2, 0.1, 1.4], [2.3, 1.2, 1.9]]):
         place = Place(np.array([x, y, 0.0]), np.zeros(2), top)
         around = place.scene(scene, kernels.reach(field, limits) + 1.0)
-        poses, gains = coarse_poses(around, field, limits, top, KEEP)
-        expected_poses, expected_gains = twins.coarse_poses(around, field, limits, top, KEEP)
-        found = gains > 0
-        assert found.sum() == len(expected_gains)
-        assert np.array_equal(poses[found], expected_poses)
-        assert np.array_equal(gains[found], expected_gains)
+        body, ground, enough = twins.coarse_points(around, field, limits, top)
+        poses, gains = twins.coarse_gains(around, field, limits, top)
+        bounds = np.empty(len(poses))
+        base, tall = poses[0, 2], poses[0, 6]
+        bounds_of(body, ground, field, limits, base, tall, enough, bounds)
+        assert (bounds >= gains).all()
+        assert (gains > 0.2 * bounds.max()).any()
+        expected = twins.gain_bounds(body, ground, field, limits, base, tall, enough)
+        np.testing.assert_allclose(bounds, expected, rtol=1e-4)
 
 
 def test_no_point_of_a_voxel_is_nearer_than_its_clearance():
-    points, normals = sample_surface(*vehicle_mesh("saloon"), 30_000, np.random.default_rng(0))
-    field = build_model_field("saloon", points, normals)
+    field = field_of("saloon")
     rng = np.random.default_rng(1)
     voxel = rng.integers(0, field.clearance.shape, (1000, 3))
     inside = field.origin + (voxel + rng.random(voxel.shape)) * field.voxel_m

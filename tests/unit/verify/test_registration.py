@@ -1,16 +1,18 @@
 import numpy as np
 import pytest
+from tests.unit.verify import twins
 
+from spinpipe.schemas.records import Sampling
 from spinpipe.stages.geometry.shapes import box, cylinder, merged, placed, sample_surface
 from spinpipe.stages.ingest.vehicles import vehicle_mesh
-from spinpipe.stages.verify.fit.coarse_search import coarse_fit
-from spinpipe.stages.verify.fit.registration import Base, refine
+from spinpipe.stages.verify.fit.registration import STEPS, Base
+from spinpipe.stages.verify.judge.hypotheses import course_of
+from spinpipe.stages.verify.judge.tolerance import tolerance
 from spinpipe.stages.verify.model.field import build_model_field
 from spinpipe.stages.verify.scene.candidate_points import Points
+from spinpipe.stages.verify.scene.cell_grid import grid_of
 
-NOTHING = Points(np.empty((0, 3)), np.empty(0))
-FREE = Base(0.0, 0.0)
-NO_COURSE = np.empty((0, 7))
+SAMPLING = Sampling(0.1, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -30,22 +32,19 @@ def _scene(kind, pose, count=2000, noise=0.0, seed=1):
     return _posed(points, pose) + rng.normal(0, noise, points.shape)
 
 
-def _even(points):
-    return Points(points, np.ones(len(points)))
-
-
-def _refined(field, points, start, stretch=0.0, gate=0.1):
-    gates = np.array([0.4, 0.2, gate])
-    args = field, start, gates, stretch, FREE, NO_COURSE
-    return refine(_even(points), NOTHING, *args)[:2]
+def _course(field, points, start, stretch=0.0, gate=0.1):
+    """Poses of a registration from its start to its end."""
+    limits = tolerance(field, stretch, SAMPLING, 0.0)._replace(gate_m=gate, coarse_gate_m=0.4)
+    return course_of(grid_of(points, SAMPLING), field, limits, start).poses
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.0, 2.5, -2.0])
 def test_rigid_pose_is_recovered(saloon, yaw):
     truth = np.array([3.0, -2.0, 0.1, yaw, 1, 1, 1])
     start = truth + [0.2, -0.15, 0.1, 0.12, 0, 0, 0]
-    pose, converged = _refined(saloon, _scene("saloon", truth), start)
-    assert converged
+    course = _course(saloon, _scene("saloon", truth), start)
+    pose = course[-1]
+    assert np.abs(pose - course[-2]).max() < 1e-3
     assert np.abs(pose[:3] - truth[:3]).max() < 0.01
     assert abs(pose[3] - truth[3]) < np.radians(0.3)
 
@@ -53,7 +52,7 @@ def test_rigid_pose_is_recovered(saloon, yaw):
 def test_rigid_pose_under_noise(saloon):
     truth = np.array([0.0, 0.0, 0.0, 0.4, 1, 1, 1])
     points = _scene("saloon", truth, noise=0.05)
-    pose, _ = _refined(saloon, points, truth + [0.2, 0.1, 0, -0.1, 0, 0, 0], gate=0.2)
+    pose = _course(saloon, points, truth + [0.2, 0.1, 0, -0.1, 0, 0, 0], gate=0.2)[-1]
     assert np.abs(pose[:3] - truth[:3]).max() < 0.03
     assert abs(pose[3] - truth[3]) < np.radians(1)
 
@@ -62,17 +61,16 @@ def test_stretch_is_recovered_within_its_bounds(saloon):
     truth = np.array([1.0, 1.0, 0.0, 0.3, 1.08, 0.95, 1.05])
     start = truth + [0.1, -0.1, 0, 0.05, 0, 0, 0]
     start[4:] = 1.0
-    pose, _ = _refined(saloon, _scene("saloon", truth), start, stretch=0.15)
+    pose = _course(saloon, _scene("saloon", truth), start, stretch=0.15)[-1]
     assert np.abs(pose[4:] - truth[4:]).max() < 0.03
-    pose, _ = _refined(saloon, _scene("saloon", truth), start, stretch=0.02)
+    pose = _course(saloon, _scene("saloon", truth), start, stretch=0.02)[-1]
     assert (np.abs(pose[4:] - 1) <= 0.02 + 1e-12).all()
 
 
 def test_nothing_near_moves_nothing(saloon):
     start = np.array([0.0, 0, 0, 0, 1, 1, 1])
-    pose, converged = _refined(saloon, np.array([[50.0, 0, 0]]), start)
-    assert not converged
-    assert np.array_equal(pose, start)
+    far = [2.95, 0, 1.35] + np.random.default_rng(0).normal(0, 0.05, (50, 3))
+    assert np.array_equal(_course(saloon, far, start), [start])
 
 
 def test_a_hole_in_the_ground_guides_a_sparse_body(saloon):
@@ -86,20 +84,36 @@ def test_a_hole_in_the_ground_guides_a_sparse_body(saloon):
         np.c_[rng.uniform(-0.3, 0.0, 30), rng.uniform(-0.2, 0.2, 30), np.full(30, 1.42)], truth
     )
     start = truth + [0.25, 0.2, 0, 0.08, 0, 0, 0]
-    args = saloon, start, np.array([0.4, 0.2]), 0.0, FREE, NO_COURSE
-    pose, *_ = refine(_even(roof), _even(ground), *args)
-    alone, *_ = refine(_even(roof), NOTHING, *args)
-    off = np.hypot(*(pose[:2] - truth[:2]))
+    nothing = np.empty((0, 3))
+    off, off_alone = (
+        np.hypot(*(_by_the_twin(saloon, roof, seen, start)[:2] - truth[:2]))
+        for seen in (ground, nothing)
+    )
     assert off < 0.15
-    assert off < np.hypot(*(alone[:2] - truth[:2]))
+    assert off < off_alone
+
+
+def _by_the_twin(field, body, ground, pose):
+    """The end of a registration; the kernel makes the same steps, see ``test_twins``."""
+    body, ground = (Points(points, np.ones(len(points))) for points in (body, ground))
+    for gate in (0.4, 0.2):
+        hides = twins.hides_ground(ground, field, pose, gate + 0.1)
+        for _ in range(STEPS):
+            made = twins.step(body, ground, field, pose, gate, 0.1, hides, 0.0, Base(0.0, 0.0))
+            assert made is not None
+            pose, moved = made
+            if moved < 1e-3 * gate:
+                break
+    return pose
 
 
 def test_coarse_fit_prefers_the_truth_and_bounds_hold(saloon):
     truth = np.array([0.0, 0.0, 0.0, 0.0, 1, 1, 1])
     points = _scene("saloon", truth)
+    body, nothing = Points(points, np.ones(len(points))), Points(np.empty((0, 3)), np.empty(0))
 
-    def fit(pose):
-        return coarse_fit(_even(points), NOTHING, saloon, pose, 0.25, 50.0)
+    def fit(pose):  # the kernel gives the same, see test_twins
+        return twins.coarse_fit(body, nothing, saloon, pose, 0.25, 50.0)
 
     best = fit(truth)
     assert 0.8 < best <= 1

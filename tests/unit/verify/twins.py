@@ -402,6 +402,42 @@ def coarse_fit(body, ground, field, pose, gate, enough):
     return explained / (explained + total(left)) * explained / (explained + enough)
 
 
+def gain_bounds(body, ground, field, limits, base, tall, enough):
+    """See ``coarse_bounds.gain_bounds``: (P,) in the order of ``poses_to_try``."""
+    f32, voxel, counts = np.float32, field.voxel_m, np.array(field.clearance.shape)
+    steps, step = offset_steps(field, limits), limits.step_m / voxel
+    first = ((field.top[:2] - field.origin[:2]) / voxel + steps * step).astype(f32)
+    level = ((body.xyz[:, 2] - base) / tall - field.origin[2]) / voxel
+    level = np.clip(level, 0, counts[2] - 1).astype(int)
+    per_m2 = f32((min(1.0, tall) / limits.coarse_gate_m) ** 2)
+    bounds = []
+
+    def columns(xyz, yaw, i, j):
+        """Places in voxels from the grid's corner, none of them outside."""
+        x, y = (xyz[:, :2] / voxel).astype(f32).T
+        c, s = f32(math.cos(yaw)), f32(math.sin(yaw))
+        shift = np.array([i * step, j * step]).astype(f32)
+        turned = np.column_stack([c * x + s * y, c * y - s * x]) + first - shift
+        return np.clip(turned, f32(0), (counts[:2] - 1).astype(f32))
+
+    for h in range(limits.headings):
+        yaw = 2 * math.pi * h / limits.headings
+        for i in range(2 * steps[0] + 1):
+            for j in range(2 * steps[1] + 1):
+                cell = columns(body.xyz, yaw, i, j).astype(int)
+                least = field.clearance[cell[:, 0], cell[:, 1], level]
+                share = 1 - np.abs(least) * per_m2
+                explained = (body.weights * np.maximum(share, 0)).sum()
+                left = body.weights[(share <= 0) & (least < 0)].sum()
+                place = columns(ground.xyz, yaw, i, j)
+                doubt = np.minimum(place % 1, 1 - place % 1) <= coarse_bounds.DOUBT
+                cell = np.where(doubt, 0, place.astype(int))  # surely not below the footprint
+                left += ground.weights[field.footprint[cell[:, 0], cell[:, 1]]].sum()
+                gain = explained / (explained + left) if explained > 0 else 0.0
+                bounds.append(coarse_bounds.SLACK * gain * explained / (explained + enough))
+    return np.array(bounds)
+
+
 def poses_to_try(field, limits, top):
     """Every heading at whole steps around the origin."""
     tall = np.clip(top / field.top_level, 1 - limits.stretch, 1 + limits.stretch)
@@ -427,19 +463,29 @@ def is_distinct(pose, others, limits):
     return not same.any()
 
 
-def coarse_poses(scene, field, limits, top, keep):
-    """Gains of all poses by themselves, then the best ones that are distinct."""
+def coarse_points(scene, field, limits, top):
+    """Points that the coarse search goes by, and the weight that is enough to convince."""
     ceiling = top + field.size[2] * limits.stretch + 2 * limits.coarse_gate_m
-    cut = cut_out(
-        scene, (0.0, 0.0), search_reach(field, limits), limits.low_m, ceiling,
-        coarse_search.COARSE_POINTS,
-    )  # fmt: skip
-    kept: list[int] = []
+    reach = search_reach(field, limits)
+    cut = cut_out(scene, (0.0, 0.0), reach, limits.low_m, ceiling, coarse_search.COARSE_POINTS)
+    return *cut, 0.1 * field.size[0] * field.size[1] / (scene.cell_m * scene.cell_m)
+
+
+def coarse_gains(scene, field, limits, top):
+    """Poses to try and the gain of each by itself."""
+    body, ground, enough = coarse_points(scene, field, limits, top)
     poses = poses_to_try(field, limits, top)
-    enough = 0.1 * field.size[0] * field.size[1] / (scene.cell_m * scene.cell_m)
     gains = np.zeros(len(poses))
-    if len(cut[0].xyz) >= TOO_FEW:
-        gains[:] = [coarse_fit(*cut, field, p, limits.coarse_gate_m, enough) for p in poses]
+    if len(body.xyz) >= TOO_FEW:
+        gate = limits.coarse_gate_m
+        gains[:] = [coarse_fit(body, ground, field, pose, gate, enough) for pose in poses]
+    return poses, gains
+
+
+def coarse_poses(scene, field, limits, top, keep):
+    """The best poses of all that are distinct, and their gains."""
+    poses, gains = coarse_gains(scene, field, limits, top)
+    kept: list[int] = []
     for n in np.argsort(-gains, kind="stable"):
         if gains[n] > 0 and is_distinct(poses[n], poses[kept], limits):
             kept.append(int(n))
