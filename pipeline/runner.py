@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -170,6 +171,7 @@ class Runner:
             partial.replace(interrupted)
 
 
+@cache
 def library_versions() -> dict[str, str]:
     """Versions of what computes the results."""
     return {name: version(name) for name in LIBRARIES}

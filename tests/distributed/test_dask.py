@@ -39,7 +39,7 @@ def cluster():
 def run(example: Path, folder: Path, *overrides: str) -> RunFolder:
     config = load_config(
         example / "config.toml",
-        ["ingest.tile_points=4096", *overrides],
+        ["ingest.tile_points=2048", *overrides],
     )
     target = RunFolder(folder)
     execute(config, target, None, "verify", "off")
@@ -56,7 +56,7 @@ def results(folder: RunFolder) -> tuple[str, bytes]:
 @pytest.fixture(scope="module")
 def example(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("example")
-    write_example(folder, points=120_000)
+    write_example(folder, points=60_000)
     (folder / "config.toml").write_text(DEMO_CONFIG)
     return folder
 
@@ -79,7 +79,7 @@ def test_a_worker_killed_in_the_middle_costs_nothing(cluster, example, local, tm
     scan = RunFolder(tmp_path).partial("scan")
 
     def kill() -> None:
-        while not (scan.exists() and scan.stat().st_size > 1_000_000):
+        while not (scan.exists() and scan.stat().st_size > 400_000):
             time.sleep(0.005)
         os.kill(victim, signal.SIGKILL)
 

@@ -121,8 +121,11 @@ def test_a_lidar_log_becomes_a_scene_that_stands(
 
 def test_a_pmvs_cloud_runs_to_the_end(cli: Cli, shared_data: Path, tmp_path: Path) -> None:
     whole = need(shared_data / "brighton" / "pmvs" / "scene_binary.ply")
-    scene = part_of(whole, tmp_path / "scene.ply", lambda rows: np.arange(len(rows)) % 16 == 0)
-    run(cli, scene, tmp_path / "run")
+    part_of(whole, tmp_path / "scene.ply", lambda rows: np.arange(len(rows)) % 16 == 0)
+    config = tmp_path / "config.toml"
+    config.write_text("[ingest]\nscene = 'scene.ply'\n[[model]]\nname = 'car'\nshape = 'saloon'\n")
+    outcome = cli("run", config, "--rerun", "off", "-o", tmp_path / "run")
+    assert outcome.code == 0, outcome.err
     read = RunReader(RunFolder(tmp_path / "run"))
     assert 36_500 < read(SCENE)[0].points < 37_500
     assert read(TILES)[0].counts.sum() == read(SCENE)[0].points
