@@ -5,7 +5,7 @@ import functools
 import numpy as np
 import pytest
 from numba import njit
-from tests.unit.verify import twins
+from tests.unit.verify.twins import coarse_search as twin_coarse_search
 
 from spinpipe.schemas.records import Sampling
 from spinpipe.stages.compiled import sources
@@ -63,14 +63,14 @@ def test_no_pose_gains_more_than_its_bound(scene, kind, stretch):
     for x, y, top in np.array([[0.2, 0.1, 1.4], [2.3, 1.2, 1.9]]):
         place = Place(np.array([x, y, 0.0]), np.zeros(2), top)
         around = place.scene(scene, kernels.reach(field, limits) + 1.0)
-        body, ground, enough = twins.coarse_points(around, field, limits, top)
-        poses, gains = twins.coarse_gains(around, field, limits, top)
+        body, ground, enough = twin_coarse_search.coarse_points(around, field, limits, top)
+        poses, gains = twin_coarse_search.coarse_gains(around, field, limits, top)
         bounds = np.empty(len(poses))
         base, tall = poses[0, 2], poses[0, 6]
         bounds_of(body, ground, field, limits, base, tall, enough, bounds)
         assert (bounds >= gains).all()
         assert (gains > 0.2 * bounds.max()).any()
-        expected = twins.gain_bounds(body, ground, field, limits, base, tall, enough)
+        expected = twin_coarse_search.gain_bounds(body, ground, field, limits, base, tall, enough)
         np.testing.assert_allclose(bounds, expected, rtol=1e-4)
 
 

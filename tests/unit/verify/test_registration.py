@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
-from tests.unit.verify import twins
+from tests.unit.verify.twins import coarse_search as twin_coarse_search
+from tests.unit.verify.twins import registration as twin_registration
 
 from spinpipe.schemas.records import Sampling
 from spinpipe.stages.geometry.shapes import box, cylinder, merged, placed, sample_surface
@@ -97,9 +98,11 @@ def _by_the_twin(field, body, ground, pose):
     """The end of a registration; the kernel makes the same steps, see ``test_twins``."""
     body, ground = (Points(points, np.ones(len(points))) for points in (body, ground))
     for gate in (0.4, 0.2):
-        hides = twins.hides_ground(ground, field, pose, gate + 0.1)
+        hides = twin_registration.hides_ground(ground, field, pose, gate + 0.1)
         for _ in range(STEPS):
-            made = twins.step(body, ground, field, pose, gate, 0.1, hides, 0.0, Base(0.0, 0.0))
+            made = twin_registration.step(
+                body, ground, field, pose, gate, 0.1, hides, 0.0, Base(0.0, 0.0)
+            )
             assert made is not None
             pose, moved = made
             if moved < 1e-3 * gate:
@@ -113,7 +116,7 @@ def test_coarse_fit_prefers_the_truth_and_bounds_hold(saloon):
     body, nothing = Points(points, np.ones(len(points))), Points(np.empty((0, 3)), np.empty(0))
 
     def fit(pose):  # the kernel gives the same, see test_twins
-        return twins.coarse_fit(body, nothing, saloon, pose, 0.25, 50.0)
+        return twin_coarse_search.coarse_fit(body, nothing, saloon, pose, 0.25, 50.0)
 
     best = fit(truth)
     assert 0.8 < best <= 1

@@ -10,7 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.unit.verify import twins
+from tests.unit.verify.twins import coarse_search as twin_coarse_search
+from tests.unit.verify.twins import evidence as twin_evidence
+from tests.unit.verify.twins import registration as twin_registration
+from tests.unit.verify.twins import scene as twin_scene
 
 from spinpipe.schemas.records import Sampling
 from spinpipe.stages.geometry.shapes import box, cylinder, merged, placed, sample_surface
@@ -87,7 +90,7 @@ def cases(draw):
 def test_registration_and_evidence_are_what_their_twins_say(case):
     scene, field, limits, start = case
     poses, found = refine_poses(scene, field, limits, start[None])
-    body, ground = twins.fine_points(scene, field, limits, start)
+    body, ground = twin_scene.fine_points(scene, field, limits, start)
     course = course_of(scene, field, limits, start)
     if len(body.xyz) < TOO_FEW:
         assert np.array_equal(poses[0], start)
@@ -95,14 +98,14 @@ def test_registration_and_evidence_are_what_their_twins_say(case):
         assert len(course.poses) == 0
         return
     assert np.array_equal(course.poses[-1], poses[0])
-    off, steps = twins.follow(body, ground, field, limits, course.poses)
+    off, steps = twin_registration.follow(body, ground, field, limits, course.poses)
     assert off < 1e-7
     assert steps == len(course.poses) - 1
     everywhere = np.ones(4, bool)
     for pose, rms_m in zip(course.poses, course.rms_m, strict=True):
-        _, explained, square_sum = twins.claim(body, field, pose, limits.gate_m, everywhere)
+        _, explained, square_sum = twin_evidence.claim(body, field, pose, limits.gate_m, everywhere)
         assert rms_m == pytest.approx(np.sqrt(square_sum / explained) if explained else np.inf)
-    expected = twins.evidence(scene, body, field, poses[0], limits)
+    expected = twin_evidence.evidence(scene, body, field, poses[0], limits)
     for name, value in zip(EVIDENCE, found[0], strict=True):
         assert value == pytest.approx(expected[name], rel=1e-9, abs=1e-9), name
 
@@ -111,9 +114,11 @@ def test_registration_and_evidence_are_what_their_twins_say(case):
 @given(case=cases(), top=st.floats(0.3, 2.0))
 def test_the_coarse_search_finds_what_trying_all_poses_finds(case, top):
     scene, field, limits, _ = case
-    assert kernels.reach(field, limits) == pytest.approx(twins.search_reach(field, limits))
+    assert kernels.reach(field, limits) == pytest.approx(
+        twin_coarse_search.search_reach(field, limits)
+    )
     poses, gains = coarse_poses(scene, field, limits, top, 3)
-    expected_poses, expected_gains = twins.coarse_poses(scene, field, limits, top, 3)
+    expected_poses, expected_gains = twin_coarse_search.coarse_poses(scene, field, limits, top, 3)
     assert (gains > 0).sum() == len(expected_gains)
     assert np.array_equal(gains[gains > 0], expected_gains)
     assert np.array_equal(poses[gains > 0], expected_poses)
