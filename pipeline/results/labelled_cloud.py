@@ -9,7 +9,7 @@ import numpy as np
 
 from spinpipe.pipeline.results.geojson import scene_crs
 from spinpipe.pipeline.results.instances import ReadTopic
-from spinpipe.schemas import CLOUD, SCENE, UPRIGHT
+from spinpipe.schemas import CLOUD, SCENE, TILES, UPRIGHT
 from spinpipe.schemas.arrays import F32, I64
 from spinpipe.schemas.records import Detection
 from spinpipe.stages.geometry.frames import inverse, to_world, transform, world_from_scene
@@ -17,7 +17,8 @@ from spinpipe.stages.geometry.frames import inverse, to_world, transform, world_
 NO_OBJECT = -1
 FIRST_USER_CLASS = 64
 """ASPRS LAS 1.4: classes 64..255 are the user's own."""
-MILLIMETRE = 1e-3
+STEP_M = 1e-4
+"""Of the coordinates: a reconstruction is not exact to a tenth of a millimetre."""
 BASE_SHARE = 0.05
 """What is lower than this part of an object's height is the ground that it stands on."""
 
@@ -35,7 +36,9 @@ def write_las(read: ReadTopic, detections: Sequence[Detection], path: Path) -> N
     T_scene_world = inverse(world_from_scene(scene, upright))
     header = laspy.LasHeader(point_format=7, version="1.4")
     header.add_extra_dim(laspy.ExtraBytesParams("object_id", "int32", "detection, -1: none"))
-    header.scales = MILLIMETRE / np.array(scene.scale)
+    tiles = read(TILES)[0]
+    reach_m = float(np.abs([tiles.low, tiles.high]).max())
+    header.scales = max(STEP_M, reach_m / 2**30) / np.array(scene.scale)  # 32-bit numbers of steps
     header.offsets = np.floor(scene.origin)
     if crs := scene_crs(scene):
         from pyproj import CRS

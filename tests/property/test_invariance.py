@@ -1,13 +1,18 @@
 """What must not matter does not: order, tiles, the choice of axes and units, far clutter."""
 
+# laspy has no complete types
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
+
 from __future__ import annotations
 
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import laspy
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from spinpipe.pipeline.context import RunReader
@@ -99,6 +104,22 @@ def test_far_clutter_changes_nothing(
     output = run(cli, yard, tmp_path, np.concatenate([yard.xyz, clutter]))
     found = [T for T in poses(read(output)) if np.linalg.norm(T[:2, 3]) < 20]
     assert_same_poses(found, still)
+
+
+def test_georeferenced_coordinates_lose_less_than_a_tenth_of_a_millimetre(
+    cli: Cli, yard: Yard, still: list[F64], tmp_path: Path
+) -> None:
+    """From the file to the poses, and to the points of the labelled cloud."""
+    corner = np.array([412_345.0, 5_312_345.0, 321.0])  # UTM
+    xyz = yard.xyz + corner
+    output = run(cli, yard, tmp_path, xyz)
+    for found, expected in zip(poses(read(output)), still, strict=True):
+        np.testing.assert_allclose(found[:3, 3], expected[:3, 3] + corner, rtol=0, atol=1e-4)
+    outcome = cli("export", output, "--format", "las", "-o", tmp_path / "labelled.las")
+    assert outcome.code == 0, outcome.err
+    written = np.asarray(laspy.read(tmp_path / "labelled.las").xyz)
+    off = KDTree(written - corner).query(yard.xyz)[0]
+    assert off.max() < np.sqrt(3) * 1e-4
 
 
 @pytest.mark.parametrize("seed", range(2))
