@@ -25,9 +25,10 @@ from spinpipe.stages.ingest.ingest import Ingest
 from spinpipe.stages.ingest.object_model import ModelConfig, object_model, read_model
 from spinpipe.stages.ingest.readers.file_kind import file_kind
 from spinpipe.stages.ingest.readers.mesh import MESHES
+from spinpipe.stages.ingest.readers.open_scene import open_scene
 from spinpipe.stages.ingest.readers.ply import read_header
 from spinpipe.stages.ingest.readers.ply_faces import face_table
-from spinpipe.stages.ingest.sanity import odd_shape
+from spinpipe.stages.ingest.sanity import believable, odd_shape, refuse_degrees, scale_of
 from spinpipe.stages.stage import StageError
 
 LOOKING = ("ingest", "model", "ground")
@@ -55,6 +56,7 @@ def look(config: RunConfig, folder: Path, console: Console) -> Look:
     folder : to work in; what is there already and follows from the same is not done again.
     console : shows progress.
     """
+    searched = is_searched(config)
     config = _in_units(config)
     stages = [stage for stage in STAGES if stage.name in LOOKING and stage.name in config.stages]
     work = RunFolder(folder)
@@ -67,6 +69,8 @@ def look(config: RunConfig, folder: Path, console: Console) -> Look:
             for step in steps:
                 (report,) = runner.run([step])
                 found.notes[report.stage] = report.notes
+                if searched and step.stage is STAGES[0]:
+                    _refuse_degrees(found.read, config)
     except StageError as error:
         return Look(found.read, found.notes, error)
     return found
@@ -85,6 +89,17 @@ def _in_units(config: RunConfig) -> RunConfig:
     section = config.stages["ingest"]
     stages = {name: other for name, other in config.stages.items() if name != "model"}
     return replace(config, stages=stages | {"ingest": section.model_copy(update={"scale": 1.0})})
+
+
+def _refuse_degrees(read: RunReader, config: RunConfig) -> None:
+    """No scale makes metres of degrees: what a run refuses where the scale is not stated."""
+    section = config.stages["ingest"]
+    assert isinstance(section, Ingest.Config)
+    frame, tiles = read(SCENE)[0], read(TILES)[0]
+    low, high = tiles.low.min(axis=0) + frame.origin, tiles.high.max(axis=0) + frame.origin
+    told = open_scene(section.scene, section.topic).about.coordinates
+    scale_of(None, believable(told, low, high)[0], section.scene)
+    refuse_degrees(low, high, section.scene)
 
 
 def look_again(config: RunConfig, folder: RunFolder, console: Console) -> list[str]:

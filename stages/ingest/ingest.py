@@ -91,7 +91,7 @@ class Ingest:
         source = held(source, ctx.memory_bytes // 4)
         progress = ctx.progress("points read", source.points)
         found = survey(source, str(config.scene), _chunk_points(ctx.memory_bytes), progress)
-        said, unlikely = believable(source.about.coordinates, found)
+        said, unlikely = believable(source.about.coordinates, found.low, found.high)
         photos = config.photos or source.about.photos
         stated: float | Vector | None = config.scale
         if config.scale_from.given:
@@ -104,7 +104,7 @@ class Ingest:
         spacing_m = found.spacing(scale)
         ctx.log(scene_line(source, found, scale, spacing_m))
         if stated is None:
-            refuse_degrees(found, config.scene)
+            refuse_degrees(found.low, found.high, config.scene)
         steps = coarse_steps(found, scale, spacing_m)
         for note in (
             *source.about.notes,

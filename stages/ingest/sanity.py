@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from spinpipe.schemas.arrays import F64
 from spinpipe.schemas.records import ObjectModel, SceneFrame, Vector
 from spinpipe.stages.ingest.model_file import ModelFile
 from spinpipe.stages.ingest.readers.coordinates import Coordinates
@@ -44,9 +45,9 @@ _DEGREES_RATIO = 1000.0
 """A degree is about 1e5 m: heights in metres over degrees are never below this."""
 
 
-def believable(told: Coordinates, found: Survey) -> tuple[Coordinates, str]:
+def believable(told: Coordinates, low: F64, high: F64) -> tuple[Coordinates, str]:
     """What the file says of its coordinates, unless they cannot be that; a note if so."""
-    most = np.abs([found.low, found.high])[:, :2].max(axis=0)
+    most = np.abs([low, high])[:, :2].max(axis=0)
     if not told.degrees or (most <= _LON_LAT).all():
         return told, ""
     return Coordinates(), (
@@ -114,16 +115,16 @@ def scale_note(stated: float | Vector | None, coordinates: Coordinates) -> str:
     )
 
 
-def refuse_degrees(found: Survey, where: Path) -> None:
-    """Stop where the coordinates look like degrees though nothing says so.
+def refuse_degrees(low: F64, high: F64, where: Path) -> None:
+    """Stop where the coordinates, from ``low`` to ``high`` (3,), look like degrees unsaid.
 
     Raises
     ------
     StageError
     """
-    reach = found.high - found.low
+    reach = high - low
     across = float(reach[:2].max())
-    lat_lon = np.abs([found.low, found.high])[:, :2].max(axis=0) <= _LON_LAT
+    lat_lon = np.abs([low, high])[:, :2].max(axis=0) <= _LON_LAT
     if 0 < across < _DEGREES_ACROSS and reach[2] > _DEGREES_RATIO * across and lat_lon.all():
         raise _degrees(where, f"x and y span {across:.2g}, z {reach[2]:.3g}")
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.e2e.refusals import assert_one_line
 
 from spinpipe.pipeline.context import RunReader
 from spinpipe.pipeline.run_folder import RunFolder
@@ -123,6 +124,13 @@ def test_the_real_cause_is_named(
     outcome = run(cli, shared_cases / case, tmp_path)
     assert said in outcome.out + outcome.err
     assert outcome.code == code
+
+
+def test_no_scale_makes_metres_of_degrees(cli: Any, shared_cases: Path, tmp_path: Path) -> None:
+    config = shared_cases / "las-wgs84-degrees" / "config.toml"
+    for command in ("plan", "run"):
+        outcome = cli(command, config, "-o", tmp_path / "run", "--set", "ingest.scale='search'")
+        assert_one_line(outcome, 1, "x and y are degrees (WGS 84")
 
 
 def test_draco_without_its_library(
