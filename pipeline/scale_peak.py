@@ -20,6 +20,10 @@ MOST_RIVAL = 0.5
 """Share of the best one's evidence from which on another factor leaves both in doubt."""
 MOST_ERROR = 0.01
 """Relative standard error: two of them are the 2 % that a result is good for."""
+_MEDIAN = math.sqrt(math.pi / 2)
+"""Standard error of a median over that of a mean."""
+_STUDENT = 1.32
+"""Of two degrees of freedom, which three sides leave: 68 % lie within so many standard errors."""
 
 
 @dataclass(frozen=True)
@@ -46,32 +50,36 @@ class ScaleFound:
     note: str
 
 
-def trial_of(factor: float, stretches: F64, odds: F64) -> Trial:
+def trial_of(factor: float, stretches: F64, sizes_m: F64, odds: F64) -> Trial:
     """Sum up one trial.
 
-    The estimate is the median of the instances' geometric mean stretches, weighted by their odds:
-    other objects fit badly. Its error has two parts: how the instances scatter, and how length,
-    width and height disagree, which a wrong model shows however many instances there are.
+    An instance's scale is the mean of what its sides stretched by: surfaces are off by about as
+    many metres on any side, so by least squares a side's logarithm counts with its length squared.
+    The estimate is the median of the instances, weighted by their odds: other objects fit badly.
+    Its error has two parts: how the instances scatter, and how length, width and height disagree,
+    which a wrong model shows however many instances there are.
 
     Parameters
     ----------
     factor : metres a unit.
     stretches : (N, 3) fitted over stated sizes of the accepted.
+    sizes_m : (N, 3) the stated sizes.
     odds : (N,) logarithms of their odds.
     """
     strong = odds >= STRONG
     if not strong.any():
         return Trial(factor)
-    stretches, odds = stretches[strong], odds[strong]
+    sides, odds, logs = sizes_m[strong], odds[strong], np.log(stretches[strong])
     weights = odds / odds.sum()
-    logs = np.log(stretches)
-    sizes = logs.mean(axis=1)
-    size = _weighted_median(sizes, weights)
-    near = weights * (np.abs(sizes - size) < math.log1p(APART))
-    scatter = _weighted_median(np.abs(sizes - size), near) / 0.6745  # [Rousseeuw, Croux 1993]
-    axes = np.array([_weighted_median(axis, weights) for axis in logs.T])
-    error = math.sqrt(scatter**2 / len(odds) + float(axes.var(ddof=1)) / 3)
-    return Trial(factor, float(odds.sum()), len(odds), factor * math.exp(-size), error)
+    squares = (sides**2).sum(axis=1)
+    scales = (logs * sides**2).sum(axis=1) / squares
+    scale = _weighted_median(scales, weights)
+    near = weights * (np.abs(scales - scale) < math.log1p(APART))
+    scatter = _weighted_median(np.abs(scales - scale), near) / 0.6745  # [Rousseeuw, Croux 1993]
+    off_m = [_weighted_median(side, weights) for side in ((logs - scales[:, None]) * sides).T]
+    sides_error = _STUDENT * math.sqrt(float(np.square(off_m).sum()) / 2 / float(weights @ squares))
+    error = math.hypot(_MEDIAN * scatter / math.sqrt(len(odds)), sides_error)
+    return Trial(factor, float(odds.sum()), len(odds), factor * math.exp(-scale), error)
 
 
 def peak(trials: Sequence[Trial], best: Trial) -> ScaleFound:

@@ -207,5 +207,6 @@ def _tried(config: RunConfig, thinned: _Thinned, factor: float, engine: Engine) 
     read = RunReader(folder)
     sizes = {model.name: model.size for model in read(MODELS)}
     accepted = [d for d in read(DETECTIONS) if d.fate == "accepted"]
-    stretches = np.array([np.array(d.size_m) / sizes[d.model] for d in accepted])
-    return trial_of(factor, stretches.reshape(-1, 3), np.array([d.log_odds for d in accepted]))
+    fitted = np.array([d.size_m for d in accepted]).reshape(-1, 3)
+    stated = np.array([sizes[d.model] for d in accepted], np.float64).reshape(-1, 3)
+    return trial_of(factor, fitted / stated, stated, np.array([d.log_odds for d in accepted]))

@@ -61,6 +61,11 @@ class FaceGrid(NamedTuple):
         members = _fill_members(corners, low, step, cells, tolerance, starts)
         return cls(corners, low, step, cells, starts, members, tolerance)
 
+    def cell_of(self, points: F64) -> I64:
+        """Number (N,) of the cell that each of (N, 3) points on the mesh lies in."""
+        x, y, z = np.clip((points - self.low) / self.step, 0, self.cells - 1).astype(np.int64).T
+        return (x * self.cells[1] + y) * self.cells[2] + z
+
     def open_towards(self, points: F64, towards: F64) -> Mask:
         """Whether the rays from points (N, 3) along the last row of a rotation meet no face.
 
@@ -80,13 +85,15 @@ def seen_from_around(points: F64, grid: FaceGrid) -> Mask:
 
     What never shows is inside: parts of a model drawn through each other have such faces.
     """
+    order = np.argsort(grid.cell_of(points))  # rays of neighbours meet the same faces: cached
+    points = points[order]
     seen = np.zeros(len(points), np.bool_)
     for elevation in np.radians(_ELEVATIONS_DEG):
         azimuths = np.arange(_AZIMUTHS if np.cos(elevation) > 1e-9 else 1) * 2 * np.pi / _AZIMUTHS
         for azimuth in azimuths + 0.1:  # off the axes, along which models have upright faces
             rest = np.flatnonzero(~seen)
             seen[rest] = grid.open_towards(points[rest], _turned_upwards(elevation, azimuth))
-    return seen
+    return seen[np.argsort(order)]
 
 
 def sample_seen(
