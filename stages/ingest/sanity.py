@@ -23,8 +23,8 @@ UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254, "feet": 0.3
 """Units that scenes and models come in when not in metres."""
 
 _CAR = re.compile(r"car|auto|saloon|sedan|hatch|estate|suv|coupe|taxi|pickup|beetle", re.I)
-_CAR_LENGTH_M = (2.2, 7.0)
-"""From a microcar to the longest pickup."""
+_CAR_M, _CAR_LENGTH_M = 4.5, (2.2, 7.0)
+"""A usual one; from a microcar to the longest pickup."""
 _MOST_SPACING = 0.5
 """Points farther apart than this share of a model's longest side cannot show its shape."""
 _ODD_SPACING = 0.1
@@ -43,6 +43,9 @@ _LON_LAT = (180.0, 90.0)
 _DEGREES_ACROSS = 1.0
 _DEGREES_RATIO = 1000.0
 """A degree is about 1e5 m: heights in metres over degrees are never below this."""
+_MOST_OF_SCENE = 0.5
+"""Of a scene's longest side: what is searched is much smaller, though one may stand alone."""
+_FINER = "export them as double, with an offset, or (LAS) with a finer scale"
 
 
 def believable(told: Coordinates, low: F64, high: F64) -> tuple[Coordinates, str]:
@@ -135,11 +138,10 @@ def coarse_steps(found: Survey, scale: Vector, spacing_m: float) -> str:
     axis = int(np.argmax(steps_m))
     if not steps_m[axis] > _COARSE * spacing_m > 0:
         return ""
-    why = ", as 32-bit floats have there" if found.single_precision else ""
-    return (
-        f"coordinates come in steps of {steps_m[axis]:.2g} m along {'xyz'[axis]}{why}: "
-        "export them as double, or with an offset"
-    )
+    most = np.float32(np.abs([found.low, found.high])[:, axis].max())
+    floats = found.single_precision and found.steps[axis] < 2 * float(np.spacing(most))
+    why = ", as 32-bit floats have there" if floats else ""
+    return f"coordinates come in steps of {steps_m[axis]:.2g} m along {'xyz'[axis]}{why}: {_FINER}"
 
 
 def require_possible(scene: SceneFrame, scene_m: float, model: ObjectModel) -> None:
@@ -161,13 +163,13 @@ def require_possible(scene: SceneFrame, scene_m: float, model: ObjectModel) -> N
     if scene.step_m > max(_COARSE * scene.spacing_m, _COARSEST * height):
         raise StageError(
             f"{scene.source}: coordinates come in steps of {scene.step_m:.2g} m, too coarse for "
-            f"model '{model.name}', {height:.3g} m high: export them as double, or with an offset"
+            f"model '{model.name}', {height:.3g} m high: {_FINER}"
         )
     if longest > scene_m:
         raise StageError(
             f"model '{model.name}' is {longest:.3g} m long, the whole scene {scene_m:.3g} m; "
             f"correct [ingest] scale (now {_numbers(scene.scale)}) or the scale of that [[model]]"
-            + _unit_hint(longest, scene_m, "the model may be in", "[[model]] scale")
+            + _model_hint(longest, scene_m, scene.spacing_m)
         )
     if scene.spacing_m > _MOST_SPACING * longest:
         raise StageError(
@@ -197,7 +199,7 @@ def odd_shape(model: ObjectModel) -> str:
         return ""
     return (
         f"model '{model.name}' is {longest:.3g} m long, {model.size[2]:.3g} m high: no car is"
-        + _unit_hint(longest, 4.5, "it may be in", "[[model]] scale")
+        + _car_hint(longest)
     )
 
 
@@ -258,15 +260,25 @@ def _degrees(where: Path, why: str) -> StageError:
     )
 
 
-def _unit_hint(length: float, right: float, words: str, key: str) -> str:
-    """The unit that explains a length best, if one is within a factor of about two."""
-    if not right > 0:
+def _car_hint(longest_m: float) -> str:
+    """The unit in which a model would be as long as a car, if one is within a factor of two."""
+    too_long = longest_m / _CAR_M
+    if not too_long > 0:
         return ""
-    too_long = length / right
     name, metres = min(UNITS.items(), key=lambda unit: abs(np.log(unit[1] * too_long)))
     if abs(np.log(metres * too_long)) > np.log(2.2):
         return ""
-    return f"; {words} {name}: try {key} = {metres:g}"
+    return f"; it may be in {name}: try [[model]] scale = {metres:g}"
+
+
+def _model_hint(longest_m: float, scene_m: float, spacing_m: float) -> str:
+    """Units of a model in which the scene's points would show it well."""
+    fit = [
+        f"{metres:g} for {name}"
+        for name, metres in UNITS.items()
+        if spacing_m / _ODD_SPACING < metres * longest_m < _MOST_OF_SCENE * scene_m
+    ]
+    return f"; try [[model]] scale = {' or '.join(fit)}" if fit else ""
 
 
 def _spacing_hint(spacing_m: float, longest_m: float) -> str:

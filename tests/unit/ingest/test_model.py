@@ -37,7 +37,9 @@ def read_models(side_m: float, *models: dict[str, Any]) -> list[ObjectModel]:
         rng=np.random.default_rng(0),
         read_one={
             TILES: TileIndex(low, high, np.array([9], np.int64)),
-            SCENE: SceneFrame((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 9, 0, False, "scene.ply"),
+            SCENE: SceneFrame(
+                (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 9, 0, False, "scene.ply", spacing_m=0.1
+            ),
         }.__getitem__,
         write=lambda _, model: written.append(model),
         log=lambda _: None,
@@ -55,6 +57,15 @@ def test_models_come_in_the_order_of_the_config(brick: Path) -> None:
 def test_a_model_must_have_room_in_the_scene(brick: Path) -> None:
     with pytest.raises(StageError, match=r"the whole scene 3 m; correct \[ingest\] scale"):
         read_models(3, {"name": "a", "path": brick})
+
+
+@pytest.mark.parametrize(
+    ("scale", "hint"), [(1e3, "0.001 for millimetres"), (100, "0.01 for centimetres or 0.0254")]
+)
+def test_units_are_named_in_which_a_model_would_show(brick: Path, scale: float, hint: str) -> None:
+    model = {"name": "a", "path": brick, "scale": scale}
+    with pytest.raises(StageError, match=rf"try \[\[model\]\] scale = {hint}"):
+        read_models(36, model)
 
 
 def test_config_bounds(brick: Path) -> None:
