@@ -24,6 +24,8 @@ STEPS = 12
 """Iterations at one gate, at most."""
 PASSES = 3
 """Gates that a candidate's registration goes through."""
+SETTLED = (0.1, 0.01)
+"""A step below this share of the gate ends a pass, and the last pass: chosen."""
 FIRST_POINTS = 300
 """About how many points tell the way at the first gate, twice as many at the next, all at the last:
 chosen."""
@@ -61,7 +63,7 @@ def refine(body, ground, field, start, gates, stretch, base, course):
     Returns
     -------
     pose : (7,) float64.
-    converged : bool, the last step was below a thousandth of the gate.
+    converged : bool, whether the last pass settled.
     steps : how many steps were made.
     """
     pose = start.copy()
@@ -73,7 +75,8 @@ def refine(body, ground, field, start, gates, stretch, base, course):
     steps = 0
     for narrowing in range(len(gates)):
         gate = gates[narrowing]
-        some = thinned(body, FIRST_POINTS << narrowing) if narrowing < len(gates) - 1 else body
+        last = narrowing == len(gates) - 1
+        some = body if last else thinned(body, FIRST_POINTS << narrowing)
         inset = 0.5 * gates[-1]
         hides = hides_ground(ground, field, pose_of(pose), gate + inset)
         for _ in range(STEPS):
@@ -98,7 +101,7 @@ def refine(body, ground, field, start, gates, stretch, base, course):
                 for i in range(4, POSE):
                     pose[i] = min(max(pose[i], 1.0 - stretch), 1.0 + stretch)
             steps += 1
-            converged = moved < 1e-3 * gate
+            converged = moved < (SETTLED[1] if last else SETTLED[0]) * gate
             if converged:
                 break
     return pose, converged, steps

@@ -31,6 +31,9 @@ BLOCK_REACHES = 2.0
 """Side of a block of candidates, in reaches: it follows from the models alone, because candidates
 of one block are thinned together."""
 
+GLANCE = 3
+"""A first look probes one in so many places of a model; what it finds is judged again by all."""
+
 
 @dataclass(frozen=True, eq=False)
 class Found:
@@ -85,7 +88,8 @@ class Search:
         advance : told how many more candidates are looked at, each of them twice.
         """
         most = [greatest_error_m(o.field) for o in self.objects]
-        examiner = Examiner(self.objects, self.sampling, most)
+        glanced = [replace(o, field=o.field.glanced(GLANCE)) for o in self.objects]
+        examiner = Examiner(glanced, self.sampling, most)
         rows_of_blocks = list(blocks(self.places, BLOCK_REACHES * examiner.reach_m))
         looks: list[Hypotheses] = []
         for rows, seen in zip(

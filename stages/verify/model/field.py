@@ -94,6 +94,17 @@ class ModelField(NamedTuple):
         """Half of the horizontal diagonal: no part is farther from the base centre."""
         return float(np.hypot(self.size[0], self.size[1]) / 2)
 
+    def glanced(self, share: int) -> ModelField:
+        """The same with one in ``share`` of its probes."""
+        weight = self.seen_weight[::share]
+        return self._replace(
+            probes=self.probes[::share],
+            probe_normals=self.probe_normals[::share],
+            seen_weight=weight / weight.sum(),
+            sides=self.sides[::share],
+            side_normals=self.side_normals[::share],
+        )
+
     def distances(self, points: F64) -> F64:
         """(N,) from points (N, 3) of the object frame to the nearest samples, inf off the grid."""
         cell = np.floor((points - self.origin) / self.voxel_m).astype(int)

@@ -90,7 +90,8 @@ def follow(body, ground, field, limits, course):
     off, at = 0.0, 0
     first = registration.FIRST_POINTS
     gates = ((coarse, first), (math.sqrt(coarse * fine), 2 * first), (fine, FINE_POINTS))
-    for gate, most in gates:
+    for number, (gate, most) in enumerate(gates):
+        settled = registration.SETTLED[number == len(gates) - 1]
         stride = max(1, -(-len(body.xyz) // most))
         some = Points(body.xyz[::stride], body.weights[::stride] * stride)
         hides = hides_ground(ground, field, course[at], gate + 0.5 * fine)
@@ -102,6 +103,6 @@ def follow(body, ground, field, limits, course):
                 return off, at
             at += 1
             off = max(off, np.abs(made[0] - course[at]).max())
-            if made[1] < 1e-3 * gate:
+            if made[1] < settled * gate:
                 break
     return off, at
