@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,7 +159,29 @@ class Examiner:
                 again = self._refined(block, waiting[known], copies.model, copies.pose, threads)
                 looks = Hypotheses.joined([looks, again])
                 waiting = waiting[~known]
-        return looks
+        return Hypotheses.joined([looks, self._handed_over(block, looks, places, threads)])
+
+    def _handed_over(
+        self, block: Block, table: Hypotheses, places: F64, threads: int
+    ) -> Hypotheses:
+        """Fits that another candidate (C, 3) lies nearer to than the one that led there, as its.
+
+        In rows candidates slide to their neighbours: whoever finds a place, it is found, and
+        refined on what the nearest one stands on.
+        """
+        good = table.rows(table.odds >= WORTH_ANOTHER_PLACE)
+        good = good.rows(resolve(good.pose[:, :4], self.sizes(good), good.odds) < 0)
+        nearest = good.candidate.copy()
+        for k, m in enumerate(good.model.tolist()):
+            field = self.fields[m]
+            on_model = transform(inverse(T_world_object(good.pose[k], good.lean[k])), places)
+            off = np.linalg.norm(on_model[:, :2] - field.top, axis=1)
+            off[field.distances(on_model) >= self.limits[m].gate_m] = np.inf
+            if np.isfinite(off).any():
+                nearest[k] = off.argmin()
+        given = replace(good, candidate=nearest).rows(nearest != good.candidate)
+        again = self._refined(block, given.candidate, given.model, given.pose, threads)
+        return Hypotheses.joined([given, again])
 
     def _look(self, block: Block, c: int, m: int) -> Hypotheses:
         """Hypotheses about a candidate as a model."""
@@ -202,6 +224,7 @@ class Examiner:
         again = self._refined(block, best.candidate, best.model, best.pose, threads)
         table = Hypotheses.joined([again, self._rivals(block, again, threads)])
         table = Hypotheses.joined([table, self._farther_on(block, table, threads)])
+        table = Hypotheses.joined([table, self._handed_over(block, table, places, threads)])
         return Examination(table, self._courses(block, table))
 
     def block(self, points: NDArray[np.floating], places: F64, proposed: I64) -> Block:

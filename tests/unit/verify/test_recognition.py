@@ -60,6 +60,18 @@ def test_one_instance_one_detection(cars, lot):
     assert all(v.duplicate_of == kept for v in verdicts if v.fate == "duplicate")
 
 
+def test_in_a_row_each_candidate_stands_for_the_car_it_lies_on(cars):
+    rng = np.random.default_rng(0)
+    saloon, across = Mesh(*vehicle_mesh("saloon")), 2.0 * np.arange(5)
+    cloud = cloud_of(
+        [placed(saloon, (x, 0, 0), 90 + rng.normal(0, 2)) for x in across], 24, 60, 0.05, 0
+    )
+    places = [[x + rng.uniform(-0.75, 0.75), rng.uniform(-0.9, 0.9), 1.4] for x in across]
+    verdicts = verdicts_on(cloud, cars[:1], places)  # two of them slide into each other's place
+    assert [v.fate for v in verdicts] == ["accepted"] * 5
+    assert [v.pose[0] for v in verdicts] == pytest.approx(across, abs=0.1)
+
+
 def test_threads_order_and_blocks_leave_no_trace(cars, lot):
     cloud = cloud_of(lot, 24, 110, 0.03)
     sampling = measure_sampling(cloud)
