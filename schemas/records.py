@@ -206,6 +206,9 @@ class Sampling:
     """Standard deviation of the points about the surface."""
     errors: tuple[ErrorOver, ...] = ()
     """The same over patches of growing side: how wavy surfaces are that should be flat."""
+    blur_m: float = 0.0
+    """Standard deviation by which steps are blurred where the cloud is a skin, see
+    ``geometry.skin``; 0 where it is none."""
 
     @property
     def density(self) -> float:

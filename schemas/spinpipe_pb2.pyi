@@ -115,14 +115,16 @@ class Level(_message.Message):
     def __init__(self, height_m: _Optional[float] = ..., share: _Optional[float] = ...) -> None: ...
 
 class Sampling(_message.Message):
-    __slots__ = ("spacing_m", "noise_m", "errors")
+    __slots__ = ("spacing_m", "noise_m", "errors", "blur_m")
     SPACING_M_FIELD_NUMBER: _ClassVar[int]
     NOISE_M_FIELD_NUMBER: _ClassVar[int]
     ERRORS_FIELD_NUMBER: _ClassVar[int]
+    BLUR_M_FIELD_NUMBER: _ClassVar[int]
     spacing_m: float
     noise_m: float
     errors: _containers.RepeatedCompositeFieldContainer[ErrorOver]
-    def __init__(self, spacing_m: _Optional[float] = ..., noise_m: _Optional[float] = ..., errors: _Optional[_Iterable[_Union[ErrorOver, _Mapping]]] = ...) -> None: ...
+    blur_m: float
+    def __init__(self, spacing_m: _Optional[float] = ..., noise_m: _Optional[float] = ..., errors: _Optional[_Iterable[_Union[ErrorOver, _Mapping]]] = ..., blur_m: _Optional[float] = ...) -> None: ...
 
 class ErrorOver(_message.Message):
     __slots__ = ("side_m", "error_m")

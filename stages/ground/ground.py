@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from spinpipe.schemas import CAMERAS, CLOUD, PLANE, SAMPLING, SCENE, TILES, TRAJECTORY, UPRIGHT
 from spinpipe.schemas.records import Evidence, Level, Plane, Sampling, Trajectory, Upright
 from spinpipe.stages.geometry.sampling import measure_sampling
+from spinpipe.stages.geometry.skin import blur_of
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.ground.area_sample import AreaSample, sample_by_area
 from spinpipe.stages.ground.evidence import Surface, Terrain, camera_up, solid_surface
@@ -101,6 +103,8 @@ class Ground:
             f"points {sampling.spacing_m:.3f} m apart, noise {sampling.noise_m:.3f} m"
             f"{errors_text(sampling)}"
         )
+        if sampling.blur_m > 0:
+            ctx.log(f"a skin: steps are blurred by {sampling.blur_m:.3f} m, drawings are draped")
 
 
 def _sample(ctx: Context[Ground.Config]) -> AreaSample:
@@ -131,9 +135,10 @@ def _measure_sampling(ctx: Context[Ground.Config], upright: Upright) -> Sampling
     diagonal_m = float(np.linalg.norm(index.high.max(axis=0) - index.low.min(axis=0)))
     points = points_of_some_squares(cloud, diagonal_m, SAMPLING_POINTS)
     try:
-        return measure_sampling(points)
+        sampling = measure_sampling(points)
     except ValueError as error:
         raise StageError(f"ground: {error}; the scene needs more points") from None
+    return replace(sampling, blur_m=blur_of(points.astype(np.float64), sampling.spacing_m))
 
 
 class _Scene(NamedTuple):

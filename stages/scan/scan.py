@@ -26,6 +26,7 @@ from spinpipe.schemas.arrays import F32, F64
 from spinpipe.schemas.records import Hits, ObjectModel, Sampling, ScoreTile, SpinImage
 from spinpipe.stages.geometry.frames import vector
 from spinpipe.stages.geometry.model_surface import points_on, topmost_point
+from spinpipe.stages.geometry.skin import shown
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.scan.coarse_to_fine import VOXEL_RADII
 from spinpipe.stages.scan.hit_threshold import hit_threshold
@@ -125,9 +126,9 @@ class Scan:
 
     def run(self, ctx: Context[Config]) -> None:
         """Score every tile's origins, then write the spin images and the hits."""
-        models = list(ctx.read(MODELS))
-        grid = spin_grid(models, ctx.config)
         sampling = ctx.read_one(SAMPLING)
+        models = [shown(model, sampling, ctx.rng) for model in ctx.read(MODELS)]
+        grid = spin_grid(models, ctx.config)
         lift_m = grid.bin_m / 2 if ctx.config.lift_m is None else ctx.config.lift_m
         noise_m = sampling.noise_m if ctx.config.noise_m is None else ctx.config.noise_m
         places = [_origin(model, grid, lift_m, ctx.config.model_origin) for model in models]

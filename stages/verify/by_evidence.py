@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from spinpipe.schemas.arrays import F64
 from spinpipe.schemas.records import Cluster, Detection, FitTrace, ObjectModel, Part, Sampling
 from spinpipe.stages.geometry.frames import heading_deg, transform, vector
 from spinpipe.stages.geometry.model_surface import model_surface
+from spinpipe.stages.geometry.skin import shown
 from spinpipe.stages.stage import StageError
 from spinpipe.stages.threads import map_threads
 from spinpipe.stages.verify.candidates import Candidates
@@ -54,7 +56,7 @@ def verify_by_evidence(
         return
     names = [model.name for model in candidates.models]
     seeded = list(zip(candidates.models, rng.spawn(len(names)), strict=True))
-    fields = map_threads(_field, seeded, threads)
+    fields = map_threads(partial(_field, sampling=sampling), seeded, threads)
     objects = [
         KnownObject(
             model.name, field, model.stretch, "above" if model.visible_from == "above" else "all"
@@ -80,10 +82,10 @@ def verify_by_evidence(
         )
 
 
-def _field(seeded: tuple[ObjectModel, np.random.Generator]) -> ModelField:
+def _field(seeded: tuple[ObjectModel, np.random.Generator], sampling: Sampling) -> ModelField:
     model, rng = seeded
     try:
-        return build_model_field(model.name, *model_surface(model, rng))
+        return build_model_field(model.name, *model_surface(shown(model, sampling, rng), rng))
     except ValueError as error:  # flat, or nothing of it shows from above
         raise StageError(f"{error}; give another model, or [verify] method = 'trimmed'") from None
 
