@@ -60,6 +60,12 @@ def yaw_matrix(heading_deg: float, translation: ArrayLike = (0.0, 0.0, 0.0)) -> 
     return T
 
 
+def turns(yaw: ArrayLike) -> F64:
+    """(..., 2, 2) rotations of x and y by angles (...,), radians."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    return np.stack([cos, -sin, sin, cos], axis=-1).reshape(*np.shape(yaw), 2, 2)
+
+
 def heading_quaternion(heading_deg: ArrayLike) -> F64:
     """(..., 4) rotation x y z w object -> world of upright objects (...,) with these headings."""
     half = np.radians(np.asarray(heading_deg, np.float64)) / 2.0

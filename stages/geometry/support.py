@@ -35,6 +35,8 @@ SEED_SLOPES = (0.15, 0.35, 0.55)
 """Slopes from which the plane of a support is sought, in eight directions and level."""
 ROUNDS = 4
 """Fits of the plane to what lies near it."""
+BASE_SLACK = 0.15
+"""How far a base may be off its support, as a share of the height above it: chosen."""
 
 
 class Surfaces(NamedTuple):

@@ -10,14 +10,12 @@ import numpy as np
 from spinpipe.schemas.arrays import F32, Mask
 from spinpipe.schemas.records import ObjectModel, Sampling
 from spinpipe.stages.geometry.support import (
+    BASE_SLACK,
     find_surfaces,
     has_support,
     reach_of,
     support_halo_m,
 )
-
-SLACK = 0.15
-"""How far the base may be off its support, as a share of the origin's height: chosen."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +44,7 @@ class HeightBands:
         sizes = [model.size for model in models]
         bands: list[tuple[float, float]] = []
         for model, height_m in zip(models, heights_m, strict=True):
-            slack = SLACK * height_m + 3.0 * sampling.noise_m
+            slack = BASE_SLACK * height_m + 3.0 * sampling.noise_m
             low = height_m * (1.0 - model.stretch) - slack
             bands.append((low, height_m * (1.0 + model.stretch) + slack))
         stretched = (

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from spinpipe.stages.geometry.frames import turns
 from spinpipe.stages.verify.evidence.outline import GOES_ON, SIDES
 
 F64 = NDArray[np.float64]
@@ -65,8 +66,7 @@ def fits_farther_on(pose: F64, size: F64, others: F64) -> Flags:
     pose, size : (4,) x, y, z of the base centre and yaw; (3,) extents, metres.
     others : (R, 4) other fits of the same model that are as good as instances.
     """
-    cos, sin = np.cos(pose[3]), np.sin(pose[3])
-    moved = (others[:, :2] - pose[:2]) @ np.array([[cos, -sin], [sin, cos]]) / size[:2]
+    moved = (others[:, :2] - pose[:2]) @ turns(pose[3]) / size[:2]
     shared = np.prod(np.clip(1.0 - np.abs(moved), 0.0, None), axis=1) >= SHARED
     onward = np.concatenate([moved, -moved], axis=1)
     return np.asarray((shared[:, None] & (onward > FARTHER)).any(axis=0))
@@ -110,17 +110,13 @@ def _places_beyond(poses: F64, sizes: F64) -> F64:
         reach = half[:, outwards, None] + _apart(sizes)[:, None] * BEYOND
         local[:, side, :, :, outwards] = (1 if side < 2 else -1) * reach[:, :, None]
         local[:, side, :, :, along] = (half[:, along, None] * ALONG)[:, None]
-    cos, sin = np.cos(poses[:, 3]), np.sin(poses[:, 3])
-    turn = np.stack([cos, sin, -sin, cos], axis=1).reshape(-1, 2, 2)
-    return np.einsum("sabcj,sjk->sabck", local, turn) + poses[:, None, None, None, :2]
+    return np.einsum("sabcj,skj->sabck", local, turns(poses[:, 3])) + poses[:, None, None, None, :2]
 
 
 def _interior(poses: F64, sizes: F64) -> F64:
     """Places (S, 5, 5, 2) in each fit."""
     local = INTERIOR * sizes[:, None, None, :2] / 2
-    cos, sin = np.cos(poses[:, 3]), np.sin(poses[:, 3])
-    turn = np.stack([cos, sin, -sin, cos], axis=1).reshape(-1, 2, 2)
-    return np.einsum("sabj,sjk->sabk", local, turn) + poses[:, None, None, :2]
+    return np.einsum("sabj,skj->sabk", local, turns(poses[:, 3])) + poses[:, None, None, :2]
 
 
 def _within(places: F64, poses: F64, sizes: F64) -> Flags:

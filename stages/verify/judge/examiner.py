@@ -18,6 +18,7 @@ from spinpipe.schemas.arrays import F64, I64
 from spinpipe.schemas.records import Sampling
 from spinpipe.stages.geometry.frames import inverse, transform
 from spinpipe.stages.geometry.support import (
+    BASE_SLACK,
     Surfaces,
     find_support,
     find_surfaces,
@@ -59,8 +60,6 @@ roof deck was lost."""
 WORTH_ANOTHER_PLACE = -6.0
 """Log odds from which a candidate is examined elsewhere than where it fits best, if another one
 stands there: chosen, few hypotheses gain more from a second look."""
-BASE_SLACK = 0.15
-"""How far the base may be off its support, as a share of the height: chosen."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from spinpipe.schemas.arrays import F64, I64
+from spinpipe.stages.geometry.frames import turns
 
 MAX_OVERLAP = 0.25
 """Share of the smaller body that two instances may have in common: fits are not exact."""
@@ -85,9 +86,8 @@ def common_m3(pose_a: F64, size_a: F64, pose_b: F64, size_b: F64) -> float:
 
 def _corners(pose: F64, size: F64) -> F64:
     """(4, 2) corners of the footprint, counter-clockwise."""
-    cos, sin = np.cos(pose[3]), np.sin(pose[3])
     half = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * size[:2] / 2
-    return half @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
+    return half @ turns(pose[3]).T + pose[:2]
 
 
 def _clip(subject: F64, window: F64) -> F64:
