@@ -18,7 +18,6 @@ from spinpipe.stages.threads import map_threads
 from spinpipe.stages.verify.candidates import Candidates
 from spinpipe.stages.verify.decide.decision import decide
 from spinpipe.stages.verify.decide.verdict import Rules, Verdict
-from spinpipe.stages.verify.evidence.gather import EVIDENCE
 from spinpipe.stages.verify.judge.examiner import Examiner
 from spinpipe.stages.verify.judge.hypotheses import Course, T_world_object
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
@@ -151,7 +150,7 @@ def _trace(
     rivals = rivals.rows(rivals.model == verdict.model)
     if len(rivals.model) == 0:
         return None
-    ends = rivals.evidence[:, EVIDENCE.index("rms_m")]
+    ends = rivals.measured("rms_m")
     poses = verdict.pose[None] if course is None else course.poses
     rms_m = np.full((len(ends), len(poses)), np.nan, np.float32)
     rms_m[:, -1] = ends

@@ -46,10 +46,10 @@ def decide(examiner: Examiner, table: Hypotheses, places: F64, rules: Rules) -> 
     farther = np.zeros((len(sizes), len(SIDES)), np.bool_)
     for k, rows in enumerate([rows_of[c] for c in best.candidate]):
         as_good = (table.model[rows] == best.model[k]) & (table.odds[rows] > best.odds[k] - AS_GOOD)
-        farther[k] = fits_farther_on(best.pose[k, :4], sizes[k], table.pose[rows[as_good], :4])
+        farther[k] = fits_farther_on(best.upright[k], sizes[k], table.upright[rows[as_good]])
     continuing = first_continuing(
-        best.evidence[:, [EVIDENCE.index(f"{side}_level") for side in SIDES]],
-        explained_sides(best.pose[:, :4], sizes, near.poses, near.sizes),
+        best.measured(*(f"{side}_level" for side in SIDES)),
+        explained_sides(best.upright, sizes, near.poses, near.sizes),
         farther,
     )
     position = {int(c): k for k, c in enumerate(best.candidate)}
@@ -201,16 +201,16 @@ def _heading_margin(
     model = int(best.model[k])
     known, sampling = examiner.objects[model], examiner.sampling
     error_m = max(sampling.noise_m, examiner.error_m[model])
-    turn = np.angle(np.exp(1j * (rivals.pose[:, 3] - best.pose[k, 3])))
-    moved = rivals.pose[:, :3] - best.pose[k, :3]
+    turn = np.angle(np.exp(1j * (rivals.yaw - best.yaw[k])))
+    moved = rivals.base - best.base[k]
     other = (rivals.model == best.model[k]) & (np.abs(turn) > math.pi / 6)
     other &= np.hypot(moved[:, 0], moved[:, 1]) < known.field.narrow_m
-    cos, sin = math.cos(best.pose[k, 3]), math.sin(best.pose[k, 3])
+    cos, sin = math.cos(best.yaw[k]), math.sin(best.yaw[k])
     shift = moved @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     for row in np.flatnonzero(other)[np.argsort(-rivals.odds[other], kind="stable")]:
         if not known.field.looks_same(float(turn[row]), shift[row], error_m, sampling.spacing_m):
             lead = float(best.score[k] - rivals.score[row])
-            return lead, rivals.pose[row], float(rivals.evidence[row, EVIDENCE.index("rms_m")])
+            return lead, rivals.pose[row], float(rivals.measured("rms_m")[row])
     return float(best.score[k]), best.pose[k], math.inf
 
 
@@ -218,7 +218,7 @@ def _alternative(
     examiner: Examiner, best: Hypotheses, k: int, rivals: Hypotheses
 ) -> tuple[int, float]:
     """The next best model at that place, and by how much the best one leads."""
-    moved = np.hypot(*(rivals.pose[:, :2] - best.pose[k, :2]).T)
+    moved = np.hypot(*(rivals.base[:, :2] - best.base[k, :2]).T)
     narrow_m = examiner.objects[int(best.model[k])].field.narrow_m
     others = np.flatnonzero((rivals.model != best.model[k]) & (moved < narrow_m))
     if len(others) == 0:

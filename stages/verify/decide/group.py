@@ -15,7 +15,6 @@ import numpy as np
 from scipy.special import expit
 
 from spinpipe.schemas.arrays import F64
-from spinpipe.stages.verify.evidence.gather import EVIDENCE
 from spinpipe.stages.verify.judge.examiner import Examiner
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
 from spinpipe.stages.verify.judge.scoring import PARTS
@@ -81,11 +80,11 @@ def judged_by_group(examiner: Examiner, table: Hypotheses, instances: Hypotheses
 
 def _shown(table: Hypotheses, instances: Hypotheses, weights: F64) -> F64:
     """(S,) how much likelier right instances show so much of their sides than others, at most 1."""
-    seen = instances.evidence[:, EVIDENCE.index("side_supported")]
+    seen = instances.measured("side_supported")
     low, middle = _quantiles(seen, weights, (LOWER, 0.5))
     count = weights.sum()
     spread = (count * (middle - low) + KNOWN * KNOWN_SIDES) / (count + KNOWN)
-    seen = table.evidence[:, EVIDENCE.index("side_supported")]
+    seen = table.measured("side_supported")
     right = _density(seen, middle, max(spread, LEAST_SIDES))
     right = (1.0 - PARTLY_HIDDEN) * right + PARTLY_HIDDEN  # hidden by any share
     return np.minimum(right / _density(seen, *OTHERS_SIDES), 1.0)

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.special import logit
 
 from spinpipe.stages.verify.decide.continuation import explained_sides
-from spinpipe.stages.verify.evidence.gather import EVIDENCE
 from spinpipe.stages.verify.evidence.outline import SIDES, TOUCHED
 from spinpipe.stages.verify.judge.examiner import WORTH_A_SECOND_LOOK, Examiner
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
@@ -41,7 +40,7 @@ class Standing(NamedTuple):
 def standing(examiner: Examiner, table: Hypotheses, min_score: float) -> Standing:
     """Which candidates are instances as far as is known, given all hypotheses."""
     best = table.rows(examiner.chosen_rows(table, float(logit(min_score))))
-    poses, sizes = best.pose[:, :4], examiner.sizes(best)
+    poses, sizes = best.upright, examiner.sizes(best)
     displaced_by = resolve(poses, sizes, best.rank)
     stays = (displaced_by < 0) & (best.score >= min_score)
     return Standing(poses[stays], sizes[stays], best, displaced_by)
@@ -49,7 +48,7 @@ def standing(examiner: Examiner, table: Hypotheses, min_score: float) -> Standin
 
 def explain_neighbours(examiner: Examiner, table: Hypotheses, min_score: float) -> Hypotheses:
     """The table with the outlines that neighbours explain counted as seen, and scored again."""
-    drops = table.evidence[:, [EVIDENCE.index(side) for side in SIDES]]
+    drops = table.measured(*SIDES)
     # members of a family would fit side by side into any hedge or roof, and explain each other
     known = np.array([o.rigid for o in examiner.objects])[table.model]
     worth = known & (table.odds >= WORTH_A_SECOND_LOOK)
@@ -61,9 +60,9 @@ def explain_neighbours(examiner: Examiner, table: Hypotheses, min_score: float) 
     seen, before = table, np.zeros(0)
     for _ in range(ROUNDS):
         near = standing(examiner, seen, min_score)
-        explained = explained_sides(touched.pose[:, :4], sizes, near.poses, near.sizes)
+        explained = explained_sides(touched.upright, sizes, near.poses, near.sizes)
         hidden = ((1.0 - drops) * (explained & (drops < TOUCHED))).mean(axis=1)
-        drop = np.clip(touched.evidence[:, EVIDENCE.index("drop")] + hidden, 0.0, 1.0)
+        drop = np.clip(touched.measured("drop") + hidden, 0.0, 1.0)
         parts, value = table.parts.copy(), table.odds.copy()
         parts[rows, PARTS.index("outline")] = np.cbrt(drop)
         value[rows] = examiner.log_odds(parts[rows], touched.model)

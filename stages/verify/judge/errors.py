@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from spinpipe.schemas.arrays import F64
-from spinpipe.stages.verify.evidence.gather import EVIDENCE
 from spinpipe.stages.verify.judge.examiner import Examiner
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
 from spinpipe.stages.verify.judge.resolve import resolve
@@ -29,8 +28,8 @@ def measured_errors(examiner: Examiner, best: Hypotheses) -> list[float]:
     A low weighted quantile of the residuals of distinct candidates, the weights being the
     probabilities that they are instances. What few tell of one model is completed by what all tell.
     """
-    best = best.rows(resolve(best.pose[:, :4], examiner.sizes(best), best.odds) < 0)
-    rms_m = best.evidence[:, EVIDENCE.index("rms_m")]
+    best = best.rows(resolve(best.upright, examiner.sizes(best), best.odds) < 0)
+    rms_m = best.measured("rms_m")
     most = np.array([greatest_error_m(o.field) for o in examiner.objects])
     relative = np.sqrt(np.clip(rms_m**2 - examiner.sampling.noise_m**2, 0.0, None))
     relative = np.minimum(relative / most[best.model], 1.0)

@@ -26,7 +26,6 @@ from spinpipe.stages.geometry.support import (
     support_halo_m,
 )
 from spinpipe.stages.threads import map_threads
-from spinpipe.stages.verify.evidence.gather import EVIDENCE
 from spinpipe.stages.verify.evidence.outline import GOES_ON, SIDES
 from spinpipe.stages.verify.fit.coarse_bounds import has_long_top
 from spinpipe.stages.verify.judge.hypotheses import (
@@ -169,7 +168,7 @@ class Examiner:
         refined on what the nearest one stands on.
         """
         good = table.rows(table.odds >= WORTH_ANOTHER_PLACE)
-        good = good.rows(resolve(good.pose[:, :4], self.sizes(good), good.odds) < 0)
+        good = good.rows(resolve(good.upright, self.sizes(good), good.odds) < 0)
         nearest = good.candidate.copy()
         for k, m in enumerate(good.model.tolist()):
             field = self.fields[m]
@@ -251,7 +250,7 @@ class Examiner:
     def _rivals(self, block: Block, found: Hypotheses, threads: int) -> Hypotheses:
         """All models, at all plausible headings, from distinct places that are promising."""
         found = found.rows(found.odds >= WORTH_A_SECOND_LOOK)
-        distinct = resolve(found.pose[:, :4], self.sizes(found), found.odds, max_overlap=0.5) < 0
+        distinct = resolve(found.upright, self.sizes(found), found.odds, max_overlap=0.5) < 0
         found = found.rows(distinct)
         size = self.sizes(found)
         candidate, model, pose = [], [], []
@@ -262,8 +261,8 @@ class Examiner:
             tall = np.clip(wanted[fits], 1 - known.stretch, 1 + known.stretch)
             for quarter in self._quarters(m):
                 start = np.ones((len(fits), found.pose.shape[1]))
-                start[:, :3] = found.pose[fits, :3]
-                start[:, 3] = found.pose[fits, 3] + quarter * math.pi / 2
+                start[:, :3] = found.base[fits]
+                start[:, 3] = found.yaw[fits] + quarter * math.pi / 2
                 start[:, 6] = tall
                 candidate.append(found.candidate[fits])
                 model.append(np.full(len(fits), m))
@@ -278,7 +277,7 @@ class Examiner:
         In a part of a larger body the model fits there as well, beside a body that it touches not.
         """
         fits = table.rows(table.best_rows())
-        levels = fits.evidence[:, [EVIDENCE.index(f"{side}_level") for side in SIDES]]
+        levels = fits.measured(*(f"{side}_level" for side in SIDES))
         rigid = (fits.odds >= LIKELY) & (self.stretch[fits.model] == 0)
         rows, sides = np.nonzero((levels >= GOES_ON) & rigid[:, None])
         start = fits.pose[rows]
@@ -378,7 +377,7 @@ class Examiner:
         chosen = table.best_rows()
         rows = np.flatnonzero(table.odds >= least_odds)
         good = table.rows(rows)
-        poses, sizes = good.pose[:, :4], self.sizes(good)
+        poses, sizes = good.upright, self.sizes(good)
         apart = rows[resolve(poses, sizes, good.rank, candidate=good.candidate) < 0]
         chosen[np.searchsorted(table.candidate[chosen], table.candidate[apart])] = apart
         return chosen
@@ -386,7 +385,7 @@ class Examiner:
     def sizes(self, table: Hypotheses) -> F64:
         """(S, 3) fitted extents of hypotheses."""
         extents = np.array([o.field.size for o in self.objects])
-        return extents[table.model] * table.pose[:, 4:7]
+        return extents[table.model] * table.stretch
 
 
 def _first_around(places: F64, reach_m: F64) -> NDArray[np.bool_]:

@@ -35,6 +35,31 @@ class Hypotheses:
     alone: F64
 
     @property
+    def base(self) -> F64:
+        """(S, 3) base centres, world, metres."""
+        return self.pose[:, :3]
+
+    @property
+    def yaw(self) -> F64:
+        """(S,) headings, radians."""
+        return self.pose[:, 3]
+
+    @property
+    def upright(self) -> F64:
+        """(S, 4) base centres and yaws: where bodies stand, whatever their size."""
+        return self.pose[:, :4]
+
+    @property
+    def stretch(self) -> F64:
+        """(S, 3) along the object's axes."""
+        return self.pose[:, 4:]
+
+    def measured(self, *names: str) -> F64:
+        """Evidence by name: (S,) of one, (S, N) of several."""
+        columns = [EVIDENCE.index(name) for name in names]
+        return self.evidence[:, columns[0] if len(columns) == 1 else columns]
+
+    @property
     def score(self) -> F64:
         """(S,) probabilities."""
         return np.asarray(expit(self.odds))
