@@ -24,6 +24,7 @@ from spinpipe.schemas.records import Detection, Hits, ObjectModel, Sampling, Spi
 from spinpipe.schemas.topics import Topic
 from spinpipe.stages.geometry.frames import to_world
 from spinpipe.stages.geometry.shapes import sample_surface
+from spinpipe.stages.geometry.skin import shown
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.scan.image import SpinGrid, spin_image
 
@@ -101,11 +102,12 @@ def closeups(read: Reader, detections: Sequence[Detection], most_points: int) ->
     """
     if not detections:
         return
-    looks = {model.name: _look(model) for model in read(MODELS)}
     spins = {image.model: image for image in read(SPIN_IMAGES) if image.role == "model"}
     hits = {group.model: _Hits(group) for group in read(HITS) if len(group.points)}
     places = {cluster.id: cluster.position for cluster in read(CLUSTERS)}
     sampling = read(SAMPLING)[0]
+    rng = np.random.default_rng(0)
+    looks = {m.name: _look(shown(m, sampling, rng)) for m in read(MODELS)}
     cloud = WorldCloud.of(read(CLOUD), read(TILES)[0], read(UPRIGHT)[0])
     reach = np.array([_reach(d, spins.get(d.model)) for d in detections])
     found: dict[int, Closeup] = {}
@@ -192,8 +194,8 @@ def _closeup(
     surface = look.seen * stretch
     sight = _see(surface, look.normals / stretch, xyz, d, sampling)
     count = min(most_points, len(xyz))
-    shown = np.arange(count) * len(xyz) // max(count, 1)
-    xyz, rgb = xyz[shown], rgb[shown]
+    some = np.arange(count) * len(xyz) // max(count, 1)
+    xyz, rgb = xyz[some], rgb[some]
     what = _classify(xyz, look, stretch, d, sampling)
     near = np.asarray(xyz, np.float32)
     return Closeup(d, near, rgb, what, surface.astype(np.float32), sight, spin)

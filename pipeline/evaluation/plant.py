@@ -26,9 +26,10 @@ from spinpipe.pipeline.scenes.free_places import Footprint, Place, blocked_cells
 from spinpipe.pipeline.scenes.ground_grid import GroundGrid, ground_grid, ground_spread
 from spinpipe.pipeline.scenes.planted_scene import Planted, write_planted
 from spinpipe.pipeline.scenes.planting import look_around, plant, visible_surface
-from spinpipe.schemas import CLOUD, MODELS, TILES, UPRIGHT
+from spinpipe.schemas import CLOUD, MODELS, SAMPLING, TILES, UPRIGHT
 from spinpipe.schemas.arrays import F32
 from spinpipe.schemas.records import ObjectModel
+from spinpipe.stages.geometry.skin import shown
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.stage import StageError
 
@@ -82,7 +83,7 @@ def plant_objects(folder: RunFolder, count: int, rng: np.random.Generator) -> li
     """
     read = RunReader(folder)
     cloud = WorldCloud.of(read(CLOUD), read(TILES)[0], read(UPRIGHT)[0])
-    models = list(read(MODELS))
+    models, sampling = list(read(MODELS)), read(SAMPLING)[0]
     turns = [_stretched(models[i % len(models)], rng) for i in range(count)]
     footprints = [_footprint(model) for model in turns]
     tallest = max(f.height_m for f in footprints)
@@ -100,7 +101,7 @@ def plant_objects(folder: RunFolder, count: int, rng: np.random.Generator) -> li
             around = look_around(nearby, grid, place, clear_m)
         except ValueError:  # hardly any ground: nothing to take density and noise from
             continue
-        surface = visible_surface(model, around.density, rng)
+        surface = visible_surface(shown(model, sampling, rng), around.density, rng)
         planted.append(Planted(model.name, plant(surface, place, around, nearby, grid, rng)))
     if not planted:
         raise StageError(

@@ -22,7 +22,7 @@ from scipy.special import expit
 from spinpipe.pipeline import api
 from spinpipe.schemas.arrays import F64
 from spinpipe.schemas.records import Detection
-from spinpipe.stages.verify.judge.scoring import LITTLE, ODDS, PARTS, POWERS, WORTHLESS
+from spinpipe.stages.verify.judge.scoring import ODDS, PARTS, POWERS, SURPLUS_SHARE, WORTHLESS
 
 RADIUS_M = 1.5
 NEAR = 0.6
@@ -68,7 +68,7 @@ def read_case(argument: str) -> Case:
 def _worth(detection: Detection) -> F64:
     parts = {part.name: part.value / part.reference for part in detection.parts}
     log = np.log(np.clip([parts[name] for name in PARTS], WORTHLESS, None))
-    return np.minimum(log, LITTLE * log)
+    return np.minimum(log, SURPLUS_SHARE * log)
 
 
 def fitted(cases: list[Case]) -> F64:

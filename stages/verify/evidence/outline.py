@@ -18,7 +18,7 @@ TOUCHED = 0.5
 LEVEL = 0.1
 """The scene goes on beyond the outline where its height differs by less than this share, or the
 gate."""
-TALL = 0.25
+TALL_SHARE = 0.25
 """What ends lower, as a share of the model's height, is level with the ground too easily."""
 FAR = 0.5
 """How far from the outline what the object stands on is looked for, in half widths: chosen."""
@@ -128,7 +128,7 @@ def outline_evidence(grid, field, pose, gate):
     whole = np.zeros(len(SIDES))
     at_base = 0
     deeper = 0
-    tall = field.outline_height > TALL * field.size[2]
+    tall = field.outline_height > TALL_SHARE * field.size[2]
     for k in range(outline.shape[0]):
         mx, my = outline[k, 0] * pose.stretch_x, outline[k, 1] * pose.stretch_y
         x, y = to_scene(pose, mx + normals[k, 0] * apart_m, my + normals[k, 1] * apart_m)

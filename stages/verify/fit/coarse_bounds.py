@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from spinpipe.stages.compiled import inner
 from spinpipe.stages.verify.model.field import ModelField
 
-SLACK = 1.0001
+ROUNDING = 1.0001
 """Above the rounding of float32 sums over a few hundred points."""
 LONG_TOP = 1.5
 """Half length of a top, in half widths, from which a candidate may lie anywhere on it: chosen."""
@@ -124,7 +124,7 @@ def gain_bounds(body, ground, field, limits, base, tall, enough, bounds):
                     clearance, along.body[i], across.body[j], weights, per_m2
                 )
                 hidden = _hidden(footprint, along.ground[i], across.ground[j], ground_weights)
-                bounds[n] = SLACK * gain(
+                bounds[n] = ROUNDING * gain(
                     np.float64(explained), np.float64(unexplained) + hidden, enough
                 )
                 n += 1

@@ -29,7 +29,7 @@ HIDDEN = 0.5
 """Weight of surface below something else: less than what is seen through, more than nothing."""
 SWALLOWED = 0.6
 """Credit for surface without any return, where ground is seen all around: dark paint and glass."""
-UNJUDGED = 0.3
+UNJUDGED_SIDES = 0.3
 """Support, as a share of the sides, that they have before any is seen: they are believed in."""
 STANDS = 0.125
 """How far off the ground a base may be, as a share of the height: kerbs, slopes, cut models."""
@@ -37,7 +37,7 @@ SWALLOWS_SHAPE = 8
 """Power of the share of the box that the gate fills: below two thirds of it shapes still show."""
 WORTHLESS = 1e-3
 """Part from which less makes no difference."""
-LITTLE = 0.1
+SURPLUS_SHARE = 0.1
 """Merit of being better than a right instance usually is: enough to choose between headings."""
 POWERS = (8.0, 5.0, 1.5, 5.0, 13.0, 5.0, 1.0)
 """Of the parts: how much a share of what a right instance shows is worth, in log odds.
@@ -82,7 +82,7 @@ def score_parts(
     asked = column["supported"] + column["contradicted"] + column["empty"]
     asked = asked + HIDDEN * column["covered"]
     model = np.divide(shown, asked, out=np.zeros_like(shown), where=asked > 0)
-    sides = column["side_supported"] + UNJUDGED
+    sides = column["side_supported"] + UNJUDGED_SIDES
     sides = sides / (sides + column["side_contradicted"])
     claimed = column["claimed"]
     share = np.divide(column["explained"], claimed, out=np.zeros_like(shown), where=claimed > 0)
@@ -121,4 +121,4 @@ def merits(parts: F64, reference: F64) -> F64:
         that is little merit.
     """
     worth = np.log(np.clip(parts / reference, WORTHLESS, None))
-    return np.array(POWERS) * np.minimum(worth, LITTLE * worth)
+    return np.array(POWERS) * np.minimum(worth, SURPLUS_SHARE * worth)

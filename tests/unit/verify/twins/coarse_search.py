@@ -77,7 +77,7 @@ def gain_bounds(body, ground, field, limits, base, tall, enough):
                 cell = np.where(doubt, 0, place.astype(int))  # surely not below the footprint
                 left += ground.weights[field.footprint[cell[:, 0], cell[:, 1]]].sum()
                 gain = explained / (explained + left) if explained > 0 else 0.0
-                bounds.append(coarse_bounds.SLACK * gain * explained / (explained + enough))
+                bounds.append(coarse_bounds.ROUNDING * gain * explained / (explained + enough))
     return np.array(bounds)
 
 

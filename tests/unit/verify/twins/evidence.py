@@ -141,7 +141,7 @@ def outline_evidence(scene, field, pose, gate):
     apart = beyond + outline.FAR * (field.size[:2] * pose[4:6]).min() / 2
     height, normals = field.size[2] * pose[6], field.outline_normals
     deep = max(gate, outline.DEEP * height)
-    tall = field.outline_height > outline.TALL * field.size[2]
+    tall = field.outline_height > outline.TALL_SHARE * field.size[2]
     foot = field.outline * pose[4:6]
     far, near = to_scene(pose, foot + normals * apart), to_scene(pose, foot + normals * beyond)
     side = side_of(*normals.T, *np.abs(normals).T)
