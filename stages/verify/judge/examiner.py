@@ -8,7 +8,7 @@ what was found is judged anew.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,18 +19,15 @@ from spinpipe.schemas.records import Sampling
 from spinpipe.stages.geometry.frames import inverse, transform
 from spinpipe.stages.geometry.support import (
     BASE_SLACK,
-    Surfaces,
-    find_support,
-    find_surfaces,
     reach_of,
     support_halo_m,
 )
 from spinpipe.stages.threads import map_threads
 from spinpipe.stages.verify.evidence.outline import GOES_ON, SIDES
 from spinpipe.stages.verify.fit.coarse_bounds import has_long_top
+from spinpipe.stages.verify.judge.block import Block, first_around
 from spinpipe.stages.verify.judge.hypotheses import (
     Course,
-    Place,
     T_world_object,
     coarse_poses,
     course_of,
@@ -43,7 +40,7 @@ from spinpipe.stages.verify.judge.resolve import resolve
 from spinpipe.stages.verify.judge.scoring import PARTS, log_odds, merits, score_parts
 from spinpipe.stages.verify.judge.tolerance import Tolerance, shell_share, tolerance
 from spinpipe.stages.verify.model.known_object import KnownObject
-from spinpipe.stages.verify.scene.cell_grid import CellGrid, grid_of
+from spinpipe.stages.verify.scene.cell_grid import CellGrid
 
 STARTS = 3
 """How many coarse poses of a candidate are refined; twice as many where it may lie anywhere along
@@ -68,16 +65,6 @@ class Examination:
     table: Hypotheses
     courses: dict[int, list[Course]]
     """Of the hypotheses that a candidate may stand for, by candidate."""
-
-
-@dataclass(frozen=True, eq=False)
-class Block:
-    """Candidates that are examined together: the points around, and where each stands."""
-
-    grid: CellGrid
-    places: tuple[Place, ...]
-    found: NDArray[np.bool_]
-    """(C,) whether there is a surface for it to stand on."""
 
 
 class Examiner:
@@ -141,7 +128,7 @@ class Examiner:
         looks = Hypotheses.none()
         waiting = np.arange(len(places))
         while len(waiting):
-            first = _first_around(places[waiting], reach_m[waiting])
+            first = first_around(places[waiting], reach_m[waiting])
             turn, waiting = waiting[first], waiting[~first]
             jobs = [(int(c), int(proposed[c])) for c in turn]
             seen = list(map_threads(lambda job: self._look(block, *job), jobs, threads))
@@ -227,25 +214,10 @@ class Examiner:
 
     def block(self, points: NDArray[np.floating], places: F64, proposed: I64) -> Block:
         """Where each of some candidates stands, given the points around."""
-        xyz = np.asarray(points, np.float64)
-        surfaces = find_surfaces(
-            xyz, self.sampling, self.support_reach_m, 0.5 * float(self.height_m.min())
-        )
-        origin, lean, found = self._supports(surfaces, places, proposed)
-        tops = places[:, 2] - origin[:, 2]
-        stands = tuple(Place(*p) for p in zip(origin, lean, tops.tolist(), strict=True))
-        return Block(grid_of(xyz, self.sampling), stands, found)
-
-    def _supports(
-        self, surfaces: Surfaces, places: F64, proposed: I64
-    ) -> tuple[F64, F64, NDArray[np.bool_]]:
-        """Points (C, 3) and slopes (C, 2) of the supports, and whether there is one."""
         height = self.top_level_m[proposed]
         slack = BASE_SLACK * height + self.stretch[proposed] * height + 3 * self.sampling.noise_m
-        support = find_support(places, places[:, 2] - height, surfaces, slack)
-        origin = np.column_stack([places[:, :2], support.height])
-        lean = np.column_stack([support.slope_x, support.slope_y])
-        return origin, lean, support.found > 0
+        least_m = 0.5 * float(self.height_m.min())
+        return Block.of(points, places, height, slack, self.sampling, self.support_reach_m, least_m)
 
     def _rivals(self, block: Block, found: Hypotheses, threads: int) -> Hypotheses:
         """All models, at all plausible headings, from distinct places that are promising."""
@@ -386,18 +358,3 @@ class Examiner:
         """(S, 3) fitted extents of hypotheses."""
         extents = np.array([o.field.size for o in self.objects])
         return extents[table.model] * table.stretch
-
-
-def _first_around(places: F64, reach_m: F64) -> NDArray[np.bool_]:
-    """Whether each place (N, 3) has none before it within its reach (N,)."""
-    apart = np.linalg.norm(places[:, None, :2] - places[None, :, :2], axis=2)
-    return ~np.tril(apart < reach_m[:, None], -1).any(axis=1)
-
-
-def blocks(places: F64, block_m: float) -> Iterator[I64]:
-    """Rows of the candidates of each occupied square, squares in order."""
-    square = np.floor(places[:, :2] / block_m).astype(np.int64)
-    _, number = np.unique(square, axis=0, return_inverse=True)
-    number = number.ravel()
-    for k in range(int(number.max(initial=-1)) + 1):
-        yield np.flatnonzero(number == k)

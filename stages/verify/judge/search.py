@@ -12,12 +12,12 @@ import numpy as np
 from spinpipe.schemas.arrays import F32, F64, I64
 from spinpipe.schemas.records import Sampling
 from spinpipe.stages.geometry.world_cloud import WorldCloud
+from spinpipe.stages.verify.judge.block import blocks
 from spinpipe.stages.verify.judge.errors import measured_errors
 from spinpipe.stages.verify.judge.examiner import (
     WORTH_ANOTHER_PLACE,
     Examination,
     Examiner,
-    blocks,
 )
 from spinpipe.stages.verify.judge.hypotheses import Course
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
