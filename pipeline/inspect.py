@@ -189,6 +189,7 @@ def scene_facts(path: Path, console: Console) -> Facts:
             }
         for sampling in found.read(SAMPLING):
             facts["spacing_m"] = _rounded(sampling.spacing_m)
+            facts["blur_m"] = _rounded(sampling.blur_m)
             facts["errors"] = [
                 {"side_m": _rounded(e.side_m), "error_m": _rounded(e.error_m)}
                 for e in sampling.errors
@@ -257,6 +258,8 @@ def _scene_rows(facts: Facts) -> list[tuple[str, str]]:
     if facts.get("errors"):
         text = ", ".join(f"{e['error_m']:.2g} m over {e['side_m']:.2g} m" for e in facts["errors"])
         rows.append(("error", text))
+    if facts.get("blur_m"):
+        rows.append(("skin", f"steps are blurred by {facts['blur_m']:.2g} m: drawings are draped"))
     if "up" in facts:
         up, ground = facts["up"], facts["ground"]
         rows.append(("up", f"{format_vector(np.array(up['direction']))}, from {up['from']}"))
