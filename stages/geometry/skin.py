@@ -23,7 +23,7 @@ REACH_SPACINGS = 4.0
 """Radius of the column around a place in which a step is looked for."""
 STEEP = 1.5
 """Least height of a step, in such radii."""
-PLACES, FEWEST_STEPS = 5_000, 20
+PLACES, FEWEST_STEPS = 2_000, 20
 FEWEST_POINTS = 8
 MIDDLE = 0.6745
 """Standard deviations from the middle of a blurred step to a quarter of its height."""
@@ -71,7 +71,7 @@ def _amid_steps(points: F64, reach_m: float) -> F64:
     counts = np.diff(np.append(first, len(ordered)))
     low, high = ordered[first, 2], ordered[first + counts - 1, 2]
     share = (ordered[:, 2] - np.repeat(low, counts)) / np.repeat(high - low, counts).clip(1e-9)
-    return ordered[(np.repeat(high - low, counts) > reach_m) & (share > 0.2) & (share < 0.8)]
+    return ordered[(np.repeat(high - low, counts) > reach_m) & (share > 0.3) & (share < 0.7)]
 
 
 def _width(around: F64, z: float, reach_m: float) -> float | None:

@@ -13,18 +13,18 @@ from spinpipe.stages.geometry.shapes import Mesh, box, merged, placed, sample_su
 from spinpipe.stages.geometry.skin import blur_of, draped, shown
 
 SPACING_M = 0.1
-CELL_M = 0.02
+CELL_M = 0.03
 
 
 def boxes(blur_m: float) -> F64:
     """A yard of boxes as a blurred height field that is sampled evenly by its surface."""
     rng = np.random.default_rng(3)
-    count = int(24 / CELL_M)
+    count = int(18 / CELL_M)
     axis = (np.arange(count) + 0.5) * CELL_M
     x, y = np.meshgrid(axis, axis, indexing="ij")
     height = np.zeros((count, count))
-    for k in range(16):
-        cx, cy, yaw = 3 + 6 * (k % 4), 3 + 6 * (k // 4), 0.2 * k
+    for k in range(9):
+        cx, cy, yaw = 3 + 6 * (k % 3), 3 + 6 * (k // 3), 0.2 * k
         u = (x - cx) * np.cos(yaw) + (y - cy) * np.sin(yaw)
         v = (y - cy) * np.cos(yaw) - (x - cx) * np.sin(yaw)
         height[(np.abs(u) < 1.5) & (np.abs(v) < 1.0)] = 1.5
