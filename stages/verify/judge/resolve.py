@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from typing import TypeAlias
+
 import numpy as np
 from scipy.spatial import KDTree
 
 from spinpipe.schemas.arrays import F64, I64
-from spinpipe.stages.geometry.frames import turns
+
+Corner: TypeAlias = tuple[float, float]
 
 MAX_OVERLAP = 0.25
 """Share of the smaller body that two instances may have in common: fits are not exact."""
@@ -84,34 +88,39 @@ def common_m3(pose_a: F64, size_a: F64, pose_b: F64, size_b: F64) -> float:
     return common * _convex_area(_clip(_corners(pose_a, size_a), _corners(pose_b, size_b)))
 
 
-def _corners(pose: F64, size: F64) -> F64:
-    """(4, 2) corners of the footprint, counter-clockwise."""
-    half = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * size[:2] / 2
-    return half @ turns(pose[3]).T + pose[:2]
+def _corners(pose: F64, size: F64) -> list[Corner]:
+    """The footprint's four, counter-clockwise."""
+    x, y, _, yaw = pose.tolist()
+    cos, sin = math.cos(yaw) / 2, math.sin(yaw) / 2
+    ux, uy = cos * float(size[0]), sin * float(size[0])
+    vx, vy = -sin * float(size[1]), cos * float(size[1])
+    return [
+        (x + ux + vx, y + uy + vy),
+        (x - ux + vx, y - uy + vy),
+        (x - ux - vx, y - uy - vy),
+        (x + ux - vx, y + uy - vy),
+    ]
 
 
-def _clip(subject: F64, window: F64) -> F64:
-    """Part of a convex polygon inside another [Sutherland & Hodgman 1974]."""
-    polygon = list(subject)
-    for a, b in zip(window, np.roll(window, -1, axis=0), strict=True):
-        edge = b - a
-        side = [edge[0] * (p[1] - a[1]) - edge[1] * (p[0] - a[0]) for p in polygon]
-        kept = []
-        for k, (p, d) in enumerate(zip(polygon, side, strict=True)):
-            q, e = polygon[k - 1], side[k - 1]
+def _clip(polygon: list[Corner], window: list[Corner]) -> list[Corner]:
+    """Part of a convex polygon inside another [Sutherland & Hodgman 1974]; plain numbers: fast."""
+    for k, (ax, ay) in enumerate(window):
+        bx, by = window[(k + 1) % len(window)]
+        side = [(bx - ax) * (y - ay) - (by - ay) * (x - ax) for x, y in polygon]
+        kept: list[Corner] = []
+        for n, ((px, py), d) in enumerate(zip(polygon, side, strict=True)):
+            (qx, qy), e = polygon[n - 1], side[n - 1]
             if (d >= 0) != (e >= 0):
-                kept.append(q + (p - q) * (e / (e - d)))
+                t = e / (e - d)
+                kept.append((qx + (px - qx) * t, qy + (py - qy) * t))
             if d >= 0:
-                kept.append(p)
+                kept.append((px, py))
         polygon = kept
-        if not polygon:
-            return np.empty((0, 2))
-    return np.array(polygon)
+    return polygon
 
 
-def _convex_area(polygon: F64) -> float:
+def _convex_area(polygon: list[Corner]) -> float:
     """Shoelace formula."""
-    if len(polygon) < 3:
-        return 0.0
-    x, y = polygon.T
-    return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)
+    following = polygon[1:] + polygon[:1]
+    pairs = zip(polygon, following, strict=True)
+    return abs(sum(x * v - y * u for (x, y), (u, v) in pairs)) / 2
