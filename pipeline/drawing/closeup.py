@@ -106,8 +106,7 @@ def closeups(read: Reader, detections: Sequence[Detection], most_points: int) ->
     hits = {group.model: _Hits(group) for group in read(HITS) if len(group.points)}
     places = {cluster.id: cluster.position for cluster in read(CLUSTERS)}
     sampling = read(SAMPLING)[0]
-    rng = np.random.default_rng(0)
-    looks = {m.name: _look(shown(m, sampling, rng)) for m in read(MODELS)}
+    looks = {m.name: _look(shown(m, sampling)) for m in read(MODELS)}
     cloud = WorldCloud.of(read(CLOUD), read(TILES)[0], read(UPRIGHT)[0])
     reach = np.array([_reach(d, spins.get(d.model)) for d in detections])
     found: dict[int, Closeup] = {}

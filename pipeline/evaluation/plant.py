@@ -101,7 +101,7 @@ def plant_objects(folder: RunFolder, count: int, rng: np.random.Generator) -> li
             around = look_around(nearby, grid, place, clear_m)
         except ValueError:  # hardly any ground: nothing to take density and noise from
             continue
-        surface = visible_surface(shown(model, sampling, rng), around.density, rng)
+        surface = visible_surface(shown(model, sampling), around.density, rng)
         planted.append(Planted(model.name, plant(surface, place, around, nearby, grid, rng)))
     if not planted:
         raise StageError(

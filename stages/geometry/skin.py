@@ -65,7 +65,7 @@ def blur_of(points: F64, spacing_m: float) -> float:
 
 
 def _amid_steps(points: F64, reach_m: float) -> F64:
-    """Points of columns as wide as a step is high that lie neither low nor high in theirs."""
+    """Points at middle height in columns of side ``reach_m`` that are higher than wide."""
     order, first = column_order(points, reach_m)[:2]
     ordered = points[order]
     counts = np.diff(np.append(first, len(ordered)))
@@ -89,12 +89,15 @@ def _width(around: F64, z: float, reach_m: float) -> float | None:
     return float(lean * step / 2 / (2 * MIDDLE))
 
 
-def shown(model: ObjectModel, sampling: Sampling, rng: np.random.Generator) -> ObjectModel:
-    """A model as the scene shows it: drawings are draped in a skin, all else comes as it is."""
+def shown(model: ObjectModel, sampling: Sampling) -> ObjectModel:
+    """A model as the scene shows it: drawings are draped in a skin, all else comes as it is.
+
+    Whoever asks gets the same points: they are about model and scene, not part of a run's chance.
+    """
     if sampling.blur_m == 0.0 or len(model.faces) == 0:
         return model
     mesh = Mesh(model.vertices.astype(np.float64), model.faces.astype(np.int64))
-    points, normals = draped(mesh, sampling.blur_m, SURFACE_POINTS, rng)
+    points, normals = draped(mesh, sampling.blur_m, SURFACE_POINTS, np.random.default_rng(0))
     return replace(
         model,
         points=points.astype(np.float32),

@@ -8,6 +8,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spinpipe.schemas.arrays import F32, F64, I64, U64, Mask
+from spinpipe.stages.geometry.hashing import FACTORS
 
 MORTON_BITS = 21
 """Of a coordinate's cell: three of them fill a word."""
@@ -33,7 +34,7 @@ def finite_rows(xyz: F64) -> tuple[int, Mask, F64, F64]:
 
 @njit(cache=True, nogil=True)
 def hashed(xyz: F64, golden: np.uint64) -> U64:
-    """64-bit hashes (N,) of finite coordinates (N, 3), by ``geometry.hashing``'s finaliser."""
+    """64-bit hashes (N,) of finite coordinates (N, 3), see ``geometry.hashing.mix``."""
     bits = np.empty(1, np.float64)
     word = bits.view(np.uint64)
     hashes = np.empty(len(xyz), np.uint64)
@@ -42,8 +43,8 @@ def hashed(xyz: F64, golden: np.uint64) -> U64:
         for axis in range(3):
             bits[0] = xyz[i, axis] + 0.0  # -0.0, which equals 0.0, into the same bits
             state = state + word[0] + golden
-            state = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-            state = (state ^ (state >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+            state = (state ^ (state >> np.uint64(30))) * FACTORS[0]
+            state = (state ^ (state >> np.uint64(27))) * FACTORS[1]
             state = state ^ (state >> np.uint64(31))
         hashes[i] = state
     return hashes

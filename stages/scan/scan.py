@@ -127,7 +127,7 @@ class Scan:
     def run(self, ctx: Context[Config]) -> None:
         """Score every tile's origins, then write the spin images and the hits."""
         sampling = ctx.read_one(SAMPLING)
-        models = [shown(model, sampling, ctx.rng) for model in ctx.read(MODELS)]
+        models = [shown(model, sampling) for model in ctx.read(MODELS)]
         grid = spin_grid(models, ctx.config)
         lift_m = grid.bin_m / 2 if ctx.config.lift_m is None else ctx.config.lift_m
         noise_m = sampling.noise_m if ctx.config.noise_m is None else ctx.config.noise_m

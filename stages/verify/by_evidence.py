@@ -84,7 +84,7 @@ def verify_by_evidence(
 def _field(seeded: tuple[ObjectModel, np.random.Generator], sampling: Sampling) -> ModelField:
     model, rng = seeded
     try:
-        return build_model_field(model.name, *model_surface(shown(model, sampling, rng), rng))
+        return build_model_field(model.name, *model_surface(shown(model, sampling), rng))
     except ValueError as error:  # flat, or nothing of it shows from above
         raise StageError(f"{error}; give another model, or [verify] method = 'trimmed'") from None
 

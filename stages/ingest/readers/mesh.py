@@ -74,7 +74,8 @@ def read_mesh(path: Path, kind: str) -> FileMesh | None:
         up, told = None, from_text(read_header(path).comments, "a comment in the PLY header")
     else:
         if kind in ("glb", "gltf"):
-            _require_readable(path, kind)
+            with readable(path, "mesh", "export it again"):
+                _require_readable(path, kind)
         # imported here once, not in each child
         import trimesh  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
@@ -191,7 +192,7 @@ def _require_readable(path: Path, kind: str) -> None:
 
 def _gltf_document(path: Path, kind: str) -> dict[str, Any]:
     """The JSON of a glTF file."""
-    with readable(path, "mesh", "export it again"), path.open("rb") as file:
+    with path.open("rb") as file:
         if kind == "glb":
             (length,) = struct.unpack_from("<I", file.read(20), 12)
             return json.loads(file.read(min(length, path.stat().st_size)))

@@ -158,11 +158,10 @@ class Examiner:
         good = good.rows(resolve(good.upright, self.sizes(good), good.odds) < 0)
         nearest = good.candidate.copy()
         for k, m in enumerate(good.model.tolist()):
-            field = self.fields[m]
-            on_model = transform(inverse(T_world_object(good.pose[k], good.lean[k])), places)
-            off = np.linalg.norm(on_model[:, :2] - field.top, axis=1)
-            off[field.distances(on_model) >= self.limits[m].gate_m] = np.inf
-            if np.isfinite(off).any():
+            on_model, near = self._on_surface(good, k, places)
+            off = np.linalg.norm(on_model[:, :2] - self.fields[m].top, axis=1)
+            off[~near] = np.inf
+            if near.any():
                 nearest[k] = off.argmin()
         given = replace(good, candidate=nearest).rows(nearest != good.candidate)
         again = self._refined(block, given.candidate, given.model, given.pose, threads)
@@ -185,10 +184,15 @@ class Examiner:
         """Whether candidates lie on the surface of a fit of their model, well inside a long top."""
         m = int(fit.model[0])
         field, gate_m = self.fields[m], self.limits[m].gate_m
-        on_model = transform(inverse(T_world_object(fit.pose[0], fit.lean[0])), places)
+        on_model, near = self._on_surface(fit, 0, places)
         inside = (np.abs(on_model[:, :2]) < field.size[:2] / 2 - gate_m).all(axis=1)
-        near = field.distances(on_model) < gate_m
         return (proposed == m) & inside & near & has_long_top(field)
+
+    def _on_surface(self, table: Hypotheses, k: int, places: F64) -> tuple[F64, NDArray[np.bool_]]:
+        """Places (C, 3) in the object frame of a fit, and whether each is on its surface."""
+        m = int(table.model[k])
+        on_model = transform(inverse(T_world_object(table.pose[k], table.lean[k])), places)
+        return on_model, self.fields[m].distances(on_model) < self.limits[m].gate_m
 
     def examine(
         self,

@@ -81,14 +81,12 @@ def test_a_draped_table_keeps_its_place_and_shows_nothing_below_its_top() -> Non
 
 @pytest.mark.parametrize(("blur_m", "drawing"), [(0.0, True), (0.1, False)])
 def test_what_is_no_drawing_or_in_no_skin_comes_as_it_is(blur_m: float, drawing: bool) -> None:
-    rng = np.random.default_rng(4)
     model = model_of(box(2.0, 1.0, 1.0), drawing)
-    assert shown(model, Sampling(0.1, 0.01, blur_m=blur_m), rng) is model
+    assert shown(model, Sampling(0.1, 0.01, blur_m=blur_m)) is model
 
 
 def test_a_drawing_in_a_skin_is_draped() -> None:
-    rng = np.random.default_rng(5)
-    model = shown(model_of(box(2.0, 1.0, 1.0), True), Sampling(0.1, 0.01, blur_m=0.1), rng)
+    model = shown(model_of(box(2.0, 1.0, 1.0), True), Sampling(0.1, 0.01, blur_m=0.1))
     assert len(model.faces) == 0
     edge = np.abs(np.abs(model.points[:, 1]) - 0.5) < 0.02
     assert 0.4 < model.points[edge & (np.abs(model.points[:, 0]) < 0.5), 2].max() < 0.65

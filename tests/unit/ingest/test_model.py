@@ -14,6 +14,7 @@ from spinpipe.schemas import SCENE, TILES
 from spinpipe.schemas.records import ObjectModel, SceneFrame, TileIndex
 from spinpipe.stages.geometry.shapes import box
 from spinpipe.stages.ingest.model import Model
+from spinpipe.stages.ingest.readers.mesh import read_mesh
 from spinpipe.stages.stage import StageError
 
 
@@ -79,3 +80,20 @@ def test_config_bounds(brick: Path) -> None:
     for models, message in cases:
         with pytest.raises(ValidationError, match=message):
             Model.Config.model_validate({"models": models})
+
+
+@pytest.mark.parametrize(
+    "document",
+    [
+        "[]",
+        '{"asset": {}, "meshes": 7}',
+        '{"asset": {}, "meshes": [{}]}',
+        '{"asset": {}, "meshes": [{"primitives": [{"attributes": {"POSITION": 9}}]}]}',
+        '{"asset": {}, "extensionsUsed": 5}',
+    ],
+)
+def test_gltf_of_another_form_ends_in_a_sentence(tmp_path: Path, document: str) -> None:
+    path = tmp_path / "thing.gltf"
+    path.write_text(document)
+    with pytest.raises(StageError, match=r"thing\.gltf: cannot read the mesh"):
+        read_mesh(path, "gltf")
