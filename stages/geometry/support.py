@@ -117,7 +117,8 @@ def _box_sums(values: NDArray[np.int32], reach: int) -> NDArray[np.int32]:
     low_i, high_i = (np.clip(rows + d, 0, values.shape[0]) for d in (-reach, reach + 1))
     low_j, high_j = (np.clip(columns + d, 0, values.shape[1]) for d in (-reach, reach + 1))
     sums = total[high_i][:, high_j] - total[low_i][:, high_j]
-    return (sums - total[high_i][:, low_j] + total[low_i][:, low_j]).astype(np.int32)
+    sums = sums - total[high_i][:, low_j] + total[low_i][:, low_j]
+    return sums.astype(np.int32, order="C")  # in any order else kernels are compiled for each
 
 
 def has_support(points: NDArray[np.floating], surfaces: Surfaces, bands: F64) -> NDArray[np.bool_]:

@@ -5,12 +5,20 @@ from __future__ import annotations
 import inspect
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numba import typeof
 from numba.core.dispatcher import Dispatcher
 
+from spinpipe.schemas.records import Sampling
 from spinpipe.stages import compiled
+from spinpipe.stages.geometry.shapes import box, sample_surface
+from spinpipe.stages.geometry.support import find_surfaces
 from spinpipe.stages.scan import kernel as scan_kernels
+from spinpipe.stages.scan.correlate import build_index
 from spinpipe.stages.verify.judge import kernels as judge_kernels
+from spinpipe.stages.verify.model.field import build_model_field
+from spinpipe.stages.verify.scene.cell_grid import grid_of
 
 FOLDER = Path(compiled.__file__).parent
 CACHED = {"scan": scan_kernels, "verify": judge_kernels}
@@ -81,3 +89,17 @@ def test_constants_of_kernels_come_from_their_sources(folder):
                     ("geometry", "columns.py"),
                 )  # only arrays come from them
                 assert known or named.parts[-2:] in hosts, f"{file}: {line}"
+
+
+def test_kernels_get_arrays_of_one_kind_whatever_is_looked_at():
+    """For each kind, and each layout, they would be compiled once more: minutes at a first run."""
+    rng = np.random.default_rng(0)
+    points, normals = sample_surface(*box(1.2, 0.8, 1.0), 500, rng)
+    field = build_model_field("crate", points, normals, resolution=8)
+    assert typeof(field.glanced(3)) == typeof(field)
+    clouds = [points, points[:1], np.tile(points[:1], (9, 1)), points * [1, 1, 0]]
+    surfaces = [find_surfaces(xyz, Sampling(0.1, 0.0), 1.0, 0.5) for xyz in clouds]
+    assert len({typeof(found) for found in surfaces}) == 1
+    grids = [grid_of(xyz, Sampling(0.1, 0.0)) for xyz in clouds]
+    assert len({typeof(grid) for grid in grids}) == 1
+    assert len({typeof(build_index(xyz.astype(np.float32))) for xyz in clouds}) == 1

@@ -95,15 +95,14 @@ class ModelField(NamedTuple):
         return float(np.hypot(self.size[0], self.size[1]) / 2)
 
     def glanced(self, share: int) -> ModelField:
-        """The same with one in ``share`` of its probes."""
-        weight = self.seen_weight[::share]
-        return self._replace(
-            probes=self.probes[::share],
-            probe_normals=self.probe_normals[::share],
-            seen_weight=weight / weight.sum(),
-            sides=self.sides[::share],
-            side_normals=self.side_normals[::share],
-        )
+        """The same with one in ``share`` of its probes, in arrays of the same kind.
+
+        Strided ones would be compiled for once more.
+        """
+        names = ("probes", "probe_normals", "seen_weight", "sides", "side_normals")
+        fewer = {name: getattr(self, name)[::share].copy() for name in names}
+        fewer["seen_weight"] /= fewer["seen_weight"].sum()
+        return self._replace(**fewer)
 
     def distances(self, points: F64) -> F64:
         """(N,) from points (N, 3) of the object frame to the nearest samples, inf off the grid."""
