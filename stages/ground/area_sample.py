@@ -33,16 +33,27 @@ class AreaSample:
     voxel: float
     """Edge of the voxels, a power of two in units of the cloud."""
 
+    def within(self, voxel: float) -> AreaSample:
+        """Return the sample that voxels of a wider edge would have given."""
+        cells = np.floor(self.points.astype(np.float64) / voxel).astype(np.int64)
+        keys = _hash_rows(cells.view(np.uint64))  # 64 bits: two voxels never share one in practice
+        order = np.argsort(keys, kind="stable")  # so the smallest hash of each voxel comes first
+        starts = np.flatnonzero(np.diff(keys[order], prepend=~keys[order[:1]]))
+        kept = order[starts]
+        by_hash = np.argsort(kept)
+        totals = np.add.reduceat(self.counts[order], starts) if len(starts) else self.counts
+        return AreaSample(self.points[kept[by_hash]], totals[by_hash], voxel)
+
     def coarser(self) -> AreaSample:
         """Return the sample that voxels of twice the edge would have given."""
-        return _thin(self.points, self.counts, 2 * self.voxel)
+        return self.within(2 * self.voxel)
 
     def fitted(self, limit: int) -> AreaSample:
         """Return the finest sample of at most ``limit`` points."""
         sample = self
         while len(sample.points) > limit:
             # Four doublings at once wherever even they leave too many.
-            leap = _thin(sample.points, sample.counts, 16 * sample.voxel)
+            leap = sample.within(16 * sample.voxel)
             sample = leap if len(leap.points) > limit else sample.coarser()
         return sample
 
@@ -57,18 +68,10 @@ def _hash_rows(columns: U64) -> U64:
 
 def _thin(points: F32, counts: I64, voxel: float) -> AreaSample:
     """Keep the point with the smallest hash of each voxel, in the order of the hashes."""
-    if len(points) == 0:
-        return AreaSample(points, counts, voxel)
-    cells = np.floor(points.astype(np.float64) / voxel).astype(np.int64).view(np.uint64)
-    keys = _hash_rows(cells)  # 64 bits: two voxels never share one in practice
     # -0.0 and 0.0 are one coordinate, so they must be one bit pattern.
     hashes = _hash_rows((points + np.float32(0)).view(np.uint32).astype(np.uint64))
-    order = np.lexsort((hashes, keys))
-    starts = np.flatnonzero(np.diff(keys[order], prepend=~keys[order[:1]]))
-    kept = order[starts]
-    totals = np.add.reduceat(counts[order], starts)
-    by_hash = np.argsort(hashes[kept], kind="stable")
-    return AreaSample(points[kept[by_hash]], totals[by_hash], voxel)
+    by_hash = np.argsort(hashes, kind="stable")
+    return AreaSample(points[by_hash], counts[by_hash], voxel).within(voxel)
 
 
 def sample_by_area(
