@@ -25,19 +25,12 @@ from spinpipe.schemas.records import Detection
 from spinpipe.stages.geometry.frames import heading_quaternion
 
 ROOT = "candidate"
-MOST = 400
-"""Candidates that are looked at closely."""
 FEWEST_POINTS, MOST_POINTS = 300, 2500
 """Of the cloud around one candidate."""
 WHAT_COLOURS = np.array(
     [palette.GROUND_POINT, palette.EXPLAINED, palette.UNEXPLAINED, palette.PALE], np.uint8
 )
 SIGHT_COLOURS = np.array([palette.SEEN, palette.CONTRADICTED, palette.NOT_OBSERVED], np.uint8)
-
-
-def worth_a_look(detections: Sequence[Detection]) -> list[Detection]:
-    """Those that are looked at closely, the kept ones first, then the best of the others."""
-    return sorted(detections, key=lambda d: (palette.rank(d.fate), -d.log_odds, d.id))[:MOST]
 
 
 def draw_candidates(

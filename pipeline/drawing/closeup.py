@@ -10,6 +10,7 @@ beside it or the scene shows something below it and nothing at or above it, else
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from spinpipe.pipeline.drawing import palette
 from spinpipe.schemas import CLOUD, CLUSTERS, HITS, MODELS, SAMPLING, SPIN_IMAGES, TILES, UPRIGHT
 from spinpipe.schemas.arrays import F32, F64, U8
 from spinpipe.schemas.records import Detection, Hits, ObjectModel, Sampling, SpinImage, Vector
@@ -89,6 +91,22 @@ class _Look:
     """(M, 3) outwards; z where the model has none."""
     tree: KDTree
     """All of its surface."""
+
+
+def worth_a_look(detections: Sequence[Detection], most: int) -> list[Detection]:
+    """Those that are looked at closely: the kept ones, then rejected ones and duplicates in turn.
+
+    Each from the highest odds downwards. Duplicates alone, whose odds are high, would leave no room
+    for those that somebody wants to know the reason of.
+    """
+    turn = Counter[str]()
+    order: list[tuple[int, int, Detection]] = []
+    for d in sorted(detections, key=lambda d: (-d.log_odds, -d.score, d.id)):
+        rank = palette.rank(d.fate)
+        kept = d.fate in palette.KEPT
+        order.append((0, rank, d) if kept else (1 + turn[d.fate], -rank, d))
+        turn[d.fate] += 1
+    return [d for *_, d in sorted(order, key=lambda o: o[:2])[:most]]
 
 
 def closeups(read: Reader, detections: Sequence[Detection], most_points: int) -> Iterator[Closeup]:
@@ -225,6 +243,8 @@ def _see(surface: F64, normals: F64, xyz: F64, d: Detection, sampling: Sampling)
         return sight
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     column_m = COLUMN_SPACINGS * sampling.spacing_m
+    low, high = surface.min(axis=0) - column_m, surface.max(axis=0) + column_m
+    xyz = xyz[((xyz[:, :2] >= low[:2]) & (xyz[:, :2] <= high[:2])).all(axis=1)]
     pairs = KDTree(xyz[:, :2]).sparse_distance_matrix(
         KDTree(surface[:, :2]), column_m, output_type="ndarray"
     )

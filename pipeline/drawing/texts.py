@@ -7,9 +7,26 @@ from collections import Counter
 from collections.abc import Sequence
 
 from spinpipe.pipeline.drawing import palette
-from spinpipe.schemas.records import Detection
+from spinpipe.schemas.records import Detection, Part
 
 NOTED = 80
+AGAINST = -0.5
+"""A part that adds less to the log odds speaks against a candidate."""
+LOW = {
+    "model": "the scene shows something else where its surface should be seen",
+    "sides": "its upright sides are missing or elsewhere in the scene",
+    "scene": "points in its box lie on its surface hardly more often than by chance",
+    "residual": "points are near its surface, but farther off than a right one's",
+    "outline": "the scene goes on where the model ends, instead of dropping",
+    "stands": "its base is not on what it stands on, or that falls away around it",
+    "alike": "it fits worse, or shows less of its sides, than the others found here",
+}
+"""What is wrong with a candidate of which a part is low, in words."""
+
+
+def against(parts: Sequence[Part]) -> list[Part]:
+    """The parts that speak against a candidate, the loudest first."""
+    return sorted((p for p in parts if p.merit < AGAINST), key=lambda p: p.merit)
 
 
 def candidate_text(d: Detection) -> str:
@@ -35,6 +52,7 @@ def candidate_text(d: Detection) -> str:
     ]
     if d.alternative:
         numbers.append(("next best model", f"{d.alternative}, {d.alternative_margin:.2f} behind"))
+    lines += [""] + [f"- {p.name} {p.merit:+.1f}: {LOW.get(p.name, '')}" for p in against(d.parts)]
     lines += ["", "| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in numbers)]
     lines += ["", "Points: blue explained, orange not, grey ground. ", ""]
     lines += ["Surface: green seen, red contradicted, grey not observed.", ""]

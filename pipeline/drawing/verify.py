@@ -10,7 +10,8 @@ import rerun as rr
 from spinpipe.pipeline.drawing import palette
 from spinpipe.pipeline.drawing.boxes import boxes_of
 from spinpipe.pipeline.drawing.candidates import ROOT as CLOSE
-from spinpipe.pipeline.drawing.candidates import draw_candidates, worth_a_look
+from spinpipe.pipeline.drawing.candidates import draw_candidates
+from spinpipe.pipeline.drawing.closeup import worth_a_look
 from spinpipe.pipeline.drawing.drawing import NOTES, WORLD, Reader, at_stage, clear_stale, note, put
 from spinpipe.pipeline.drawing.eye import label_rows
 from spinpipe.pipeline.drawing.fits import (
@@ -27,6 +28,8 @@ from spinpipe.pipeline.drawing.threshold import Truth, draw_threshold
 from spinpipe.schemas import DETECTIONS, MODELS, TRACES
 from spinpipe.schemas.records import Detection
 
+CLOSE_UP = 600
+"""Candidates that are looked at closely."""
 _LEDGER = (
     *("fate", "score", "model", "reason", "correlation", "rms_m", "coverage_model"),
     *("coverage_scene", "heading_margin", "cause", "duplicate_of", "log_odds"),
@@ -51,7 +54,7 @@ def draw(
         return
     draw_pose(rec, max(detections, key=lambda d: (d.fate == "accepted", d.score)), models)
     _draw_ledger(rec, detections)
-    ranked = worth_a_look(detections)
+    ranked = worth_a_look(detections, CLOSE_UP)
     close = {d.cluster for d in ranked}
     fits = order_fits(detections, [trace for trace in read(TRACES) if trace.cluster in close])
     draw_rms(rec, fits)

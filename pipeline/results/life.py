@@ -29,24 +29,11 @@ class Test:
 
 
 @dataclass(frozen=True)
-class PartRow:
-    """One part of the decision beside what a right instance gets, where the run recorded it."""
-
-    name: str
-    value: float
-    reference: float | None
-    merit: float | None
-    """What the part adds to the logarithm of the odds; negative speaks against."""
-    weight: float | None
-
-
-@dataclass(frozen=True)
 class Life:
     """What happened to one candidate and what would have to differ."""
 
     detection: Detection
     tests: list[Test]
-    parts: list[PartRow]
     winner: int | None
     """Id of the detection that stands in the same place and won."""
     remedies: list[str]
@@ -79,8 +66,7 @@ def life_of(d: Detection, read: ReadTopic, config: RunConfig) -> Life:
         rival = find_detection(detections, winner)
         value = f"candidate {winner} ({rival.model}, score {rival.score:.2f}) stands there"
         tests.append(Test("verify", "place is free", value, "no better one", False))
-    parts = [part_row(part) for part in d.parts]
-    return Life(d, tests, parts, winner, _remedies(d, limits, winner))
+    return Life(d, tests, winner, _remedies(d, limits, winner))
 
 
 def winner_of(d: Detection, detections: Sequence[Detection]) -> int | None:
@@ -98,17 +84,6 @@ def winner_of(d: Detection, detections: Sequence[Detection]) -> int | None:
     return kept[nearest].id if away[nearest] < max(d.size_m) else None
 
 
-def part_row(part: Part) -> PartRow:
-    """A part as the run recorded it: older runs know its name and value only."""
-    given = {f.name: getattr(part, f.name) for f in dataclasses.fields(part)}
-    return PartRow(
-        str(given["name"]),
-        float(given["value"]),
-        *(None if given.get(k) is None else float(given[k]) for k in PART_FIELDS),
-    )
-
-
-PART_FIELDS = ("reference", "merit", "weight")
 NEARLY = 0.5
 """A limit is offered for change where the value misses it by less than this factor."""
 
@@ -193,15 +168,12 @@ def _registration(d: Detection, read: ReadTopic) -> list[Test]:
     return tests
 
 
-def deciding_part(d: Detection) -> PartRow | None:
+def deciding_part(d: Detection) -> Part | None:
     """The part that speaks loudest against: by its merit, else as the reason names it."""
-    parts = [part_row(part) for part in d.parts]
-    if not parts:
-        return None
-    if all(part.merit is not None for part in parts):
-        return min(parts, key=lambda part: part.merit or 0.0)
-    named = [part for part in parts if f": {part.name} " in d.reason]
-    return min(named or parts, key=lambda part: part.value / (part.reference or 1.0))
+    if any(part.merit for part in d.parts):
+        return min(d.parts, key=lambda part: part.merit)
+    named = [part for part in d.parts if f": {part.name} " in d.reason]
+    return min(named or d.parts, key=lambda part: part.value / part.reference, default=None)
 
 
 def _remedies(d: Detection, limits: Sequence[Test], winner: int | None) -> list[str]:
@@ -214,10 +186,6 @@ def _remedies(d: Detection, limits: Sequence[Test], winner: int | None) -> list[
         return [f"what made it {d.fate}: {d.reason}"]
     limit, _, key = failed.limit.rstrip(")").partition(" (")
     advice = [f"{failed.what} {failed.value} would have to be {limit}"]
-    worst = deciding_part(d)
-    if worst is not None:
-        against = "" if worst.reference is None else f" against {worst.reference:.2f} if right"
-        advice.append(f"what counts most against it: {worst.name} {worst.value:.2f}{against}")
     value, wanted = float(failed.value), float(limit.rpartition(" ")[2])
     if NEARLY * wanted <= value <= wanted / NEARLY:
         advice.append(f"to see what else would pass with it: --set {key}={value:.3f}")

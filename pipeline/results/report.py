@@ -15,7 +15,8 @@ from PIL import Image
 
 from spinpipe.pipeline.config import RunConfig
 from spinpipe.pipeline.drawing import palette
-from spinpipe.pipeline.drawing.closeup import SIGHT, WHAT, Closeup, closeups
+from spinpipe.pipeline.drawing.closeup import SIGHT, WHAT, Closeup, closeups, worth_a_look
+from spinpipe.pipeline.drawing.texts import LOW
 from spinpipe.pipeline.drawing.top_view import TopView
 from spinpipe.pipeline.results.candidate_pictures import (
     COLUMNS,
@@ -26,13 +27,13 @@ from spinpipe.pipeline.results.candidate_pictures import (
     sprite_sheet,
 )
 from spinpipe.pipeline.results.instances import ReadTopic, box_corners, entry, plain
-from spinpipe.pipeline.results.life import limit_tests, part_row
+from spinpipe.pipeline.results.life import limit_tests
 from spinpipe.schemas import SAMPLING, SCENE, SPIN_IMAGES
 from spinpipe.schemas.arrays import F32
 from spinpipe.schemas.records import Detection, ObjectModel
 
-PICTURED = 150
-"""Candidates with pictures: all kept ones first, then the others from the best score downwards."""
+PICTURED = 300
+"""Candidates with pictures."""
 POINTS = 4000
 """Of the cloud in a picture."""
 DATA = "/*DATA*/"
@@ -58,8 +59,8 @@ def write_report(
     report : content of report.json.
     path : file to write.
     """
-    ranked = sorted(detections, key=lambda d: (d.fate not in palette.KEPT, -d.score, d.id))
-    shown: list[Closeup] = list(closeups(read, ranked[:PICTURED], POINTS))
+    ranked = worth_a_look(detections, PICTURED)
+    shown: list[Closeup] = list(closeups(read, ranked, POINTS))
     sheet, count = sprite_sheet(shown)
     spins = {c.detection.id: _image(c.spin) for c in shown if c.spin.size}
     scene, sampling = read(SCENE)[0], read(SAMPLING)
@@ -82,6 +83,7 @@ def write_report(
         "map_image": _data_url(_jpeg(view.pixels), "image/jpeg"),
         "sheet_image": _data_url(sheet, "image/jpeg"),
         "stages": plain(list(report.get("stages", []))),
+        "low": LOW,
         "libraries": plain(dict(report.get("libraries", {}))),
         "config": config.to_toml(),
         "folder": str(path.parent),
@@ -101,7 +103,7 @@ def _candidate(
         values.pop(heavy, None)
     values = {k: round(v, 4) if isinstance(v, float) else v for k, v in values.items()}
     values["polygon"] = np.round(corners, 1).tolist()
-    values["parts"] = [[p.name, p.value, p.reference, p.merit] for p in map(part_row, d.parts)]
+    values["parts"] = [[p.name, p.value, p.reference, p.merit] for p in d.parts]
     values["limits"] = [
         [t.what, t.value, t.limit, t.passed] for t in limit_tests(d, config.stages["verify"])
     ]

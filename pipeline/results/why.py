@@ -9,9 +9,11 @@ from rich.table import Table
 from rich.text import Text
 
 from spinpipe.pipeline.context import RunReader
+from spinpipe.pipeline.drawing.texts import LOW, against
 from spinpipe.pipeline.results.complete import open_complete
 from spinpipe.pipeline.results.life import Life, deciding_part, find_detection, life_of
 from spinpipe.schemas import DETECTIONS
+from spinpipe.schemas.records import Detection
 
 BAR = 20
 """Characters of a full bar."""
@@ -35,8 +37,10 @@ def life_table(life: Life, folder: Path) -> Group:
         Text(f"at x_scene {x:.2f}  y_scene {y:.2f}  z_scene {z:.2f}\n"),
         _tests(life),
     ]
-    if life.parts:
-        lines += [Text(), _parts(life)]
+    if d.parts:
+        lines += [Text(), _parts(d)]
+    if against(d.parts):
+        lines += [Text("\nwhat speaks against it, the loudest first", style="bold"), _against(d)]
     lines += [Text()] + [Text(f"- {line}") for line in life.remedies]
     lines.append(Text(f"see it: spinpipe view {folder} --candidate {d.id}"))
     return Group(*lines)
@@ -45,40 +49,39 @@ def life_table(life: Life, folder: Path) -> Group:
 def _tests(life: Life) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("stage", "test", "value", "limit", ""):
-        table.add_column(name)
+        table.add_column(name, no_wrap=name == "limit")
     before = ""
     for test in life.tests:
         mark = {True: "ok", False: "no", None: ""}[test.passed]
         style = "red" if test.passed is False else ""
         stage = "" if test.stage == before else test.stage
-        cells = (stage, test.what, test.value, test.limit, mark)
+        # the key of a limit below it: together they are wider than a terminal
+        cells = (stage, test.what, test.value, test.limit.replace(" (", "\n("), mark)
         table.add_row(*(Text(cell, style=style) for cell in cells))
         before = test.stage
     return table
 
 
-def _parts(life: Life) -> Table:
-    parts = life.parts
+def _parts(d: Detection) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("part")
     table.add_column("value", justify="right")
-    known = any(part.reference is not None for part in parts)
-    costly = any(part.merit is not None for part in parts)
-    if known:
-        table.add_column("if right", justify="right")
+    table.add_column("if right", justify="right")
     table.add_column("")
-    if costly:
-        table.add_column("log odds", justify="right")
-    worst = deciding_part(life.detection)
-    for part in parts:
-        style = "red" if part == worst and life.detection.fate != "accepted" else ""
-        cells = [part.name, f"{part.value:.2f}"]
-        if known:
-            cells.append("" if part.reference is None else f"{part.reference:.2f}")
-        share = part.value / (part.reference or 1.0)
-        filled = round(BAR * min(max(share, 0.0), 1.0))
-        cells.append("█" * filled + "░" * (BAR - filled))
-        if costly:
-            cells.append("" if part.merit is None else f"{part.merit:+.2f}")
+    table.add_column("log odds", justify="right")
+    worst = deciding_part(d)
+    for part in d.parts:
+        style = "red" if part == worst and d.fate != "accepted" else ""
+        filled = round(BAR * min(max(part.value / part.reference, 0.0), 1.0))
+        bar = "█" * filled + "░" * (BAR - filled)
+        cells = (part.name, f"{part.value:.2f}", f"{part.reference:.2f}", bar, f"{part.merit:+.2f}")
         table.add_row(*(Text(cell, style=style) for cell in cells))
+    return table
+
+
+def _against(d: Detection) -> Table:
+    """What each part that is low says, in words."""
+    table = Table(box=None, pad_edge=False, show_header=False)
+    for part in against(d.parts):
+        table.add_row(f"{part.name} {part.merit:+.1f}", LOW.get(part.name, ""))
     return table

@@ -159,8 +159,9 @@ def _fate(
             "rejected",
             "score",
             (
-                f"score {value:.2f} below {rules.min_score:g}; weakest part: "
-                f"{weakest} {parts[weakest]:.2f}"
+                # rounded down: 0.498 is not "0.50 below 0.5"
+                f"score {math.floor(100 * value) / 100:.2f} below {rules.min_score:g}; "
+                f"weakest part: {weakest} {parts[weakest]:.2f}"
             ),
         )
     if observed < rules.min_observed:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from tests.unit.pipeline.drawn import make_detection
 
 from spinpipe.pipeline.context import RunReader
-from spinpipe.pipeline.drawing.closeup import EXPLAINED, SEEN, UNEXPLAINED, closeups
+from spinpipe.pipeline.drawing.closeup import EXPLAINED, SEEN, UNEXPLAINED, closeups, worth_a_look
+from spinpipe.pipeline.drawing.texts import LOW
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.schemas import DETECTIONS
-from spinpipe.stages.verify.judge.scoring import ODDS
+from spinpipe.stages.verify.judge.scoring import ODDS, PARTS
 
 if TYPE_CHECKING:
     from tests.conftest import YardRun
@@ -37,3 +41,20 @@ def test_a_gate_is_told_with_every_detection(finished_yard: YardRun) -> None:
         if d.parts:
             assert d.log_odds == pytest.approx(ODDS + sum(p.merit for p in d.parts))
             assert all(0 < p.reference <= 1 for p in d.parts)
+
+
+def test_duplicates_leave_room_for_rejected_ones() -> None:
+    """A town has hundreds of duplicates, all of higher odds than what was rejected."""
+    fates = ["duplicate"] * 50 + ["rejected"] * 50 + ["accepted"]
+    every = [
+        replace(make_detection(i, "saloon", fate), log_odds=float(-i))
+        for i, fate in enumerate(fates)
+    ]
+    chosen = worth_a_look(every, 21)
+    assert [d.id for d in chosen[:3]] == [100, 50, 0]
+    assert Counter(d.fate for d in chosen) == {"accepted": 1, "rejected": 10, "duplicate": 10}
+    assert {d.id for d in chosen[1:]} == {*range(10), *range(50, 60)}
+
+
+def test_every_part_of_a_score_has_words() -> None:
+    assert set(LOW) == set(PARTS)
