@@ -8,8 +8,12 @@ import subprocess
 import zipfile
 from email.parser import Parser
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from tests.conftest import YardRun
 
 ROOT = Path(__file__).parents[1]
 UV = shutil.which("uv")
@@ -97,8 +101,10 @@ def test_licence_and_metadata_are_there(wheel: Path) -> None:
     assert "spinpipe" in str(metadata.get_payload()), "the README is the description"
 
 
-def test_the_command_runs_from_an_empty_environment(environment: Path, tmp_path: Path) -> None:
-    def run(command: str, *arguments: str) -> str:
+def test_the_command_runs_from_an_empty_environment(
+    environment: Path, yard_run: YardRun, tmp_path: Path
+) -> None:
+    def run(command: str, *arguments: str | Path) -> str:
         done = subprocess.run(
             [environment / "bin" / command, *arguments],
             cwd=tmp_path,
@@ -112,4 +118,5 @@ def test_the_command_runs_from_an_empty_environment(environment: Path, tmp_path:
     where = run("python", "-c", "import spinpipe.stages as s; print(s.__file__)").strip()
     assert Path(where).is_relative_to(environment)
     assert "wrote config.toml" in run("spinpipe", "init", "--preset", "carpark")
-    assert "accepted: 4 model_1" in run("spinpipe", "demo", "--rerun", "off")
+    assert "wrote example.toml" in run("spinpipe", "init", "example.toml"), "demo's scene"
+    assert "accepted: 2 saloon" in run("spinpipe", "run", yard_run.config)

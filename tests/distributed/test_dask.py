@@ -13,7 +13,7 @@ import pytest
 from tests.resume.going_on import assert_same_results, ran
 
 distributed = pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
-import dask  # noqa: E402
+import dask.config  # noqa: E402
 from distributed.utils import get_mp_context  # noqa: E402
 
 from spinpipe.pipeline import engine  # noqa: E402

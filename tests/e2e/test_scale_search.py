@@ -11,11 +11,19 @@ import numpy as np
 import pytest
 from tests.e2e.refusals import assert_one_line
 
+from spinpipe.pipeline import scale_search
+
 if TYPE_CHECKING:
     from tests.conftest import Cli, Yard
 
 METRES_A_UNIT = 4.0
 """Most factors below make the yard smaller than the car: quickly done with."""
+
+
+@pytest.fixture(autouse=True)
+def fewer_factors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half a decade around the right one instead of more than one."""
+    monkeypatch.setattr(scale_search, "LOWEST", 2.9)
 
 
 def written(yard: Yard, folder: Path, rows: slice | np.ndarray = slice(None)) -> Path:

@@ -3,23 +3,20 @@
 from collections.abc import Callable
 from typing import Any, Literal
 
-prange = range
-
 class Dispatcher:
     """A compiled function; it takes positional arguments of any type that numba knows."""
 
     py_func: Callable[..., Any]
     def __call__(self, *args: Any) -> Any: ...
 
+def typeof(val: object) -> object: ...
 def njit(
     *,
     cache: bool = ...,
     nogil: bool = ...,
-    parallel: bool = ...,
     inline: Literal["never", "always"] = ...,
     forceinline: bool = ...,
     error_model: Literal["python", "numpy"] = ...,
-    boundscheck: bool = ...,
     fastmath: bool | set[str] = ...,
     no_cpython_wrapper: bool = ...,
     no_cfunc_wrapper: bool = ...,

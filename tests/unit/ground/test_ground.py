@@ -30,7 +30,7 @@ from spinpipe.stages.stage import StageError
 @settings(max_examples=6, deadline=None)
 def test_any_orientation_and_noise(seed, noise_m):
     rng = np.random.default_rng(seed)
-    scene = car_park(rng)
+    scene = car_park(rng, cars=6, size=20.0)
     scene += rng.normal(0, noise_m, scene.shape)
     turn = Rotation.random(random_state=seed)
     try:
