@@ -323,7 +323,7 @@ class Detection:
     """What became of one candidate, and why."""
 
     id: int
-    cluster: int
+    """That of the candidate's ``Cluster``."""
     model: str
     fate: str
     """``"accepted"``, ``"ambiguous"``, ``"duplicate"`` or ``"rejected"``."""
@@ -344,7 +344,8 @@ class Detection:
     """
     correlation: float
     rms_m: float
-    inliers: int
+    inlier_weight: float
+    """Sum of the weights of the points that ``rms_m`` is over; by ICP the number of pairs."""
     runner_up_heading_deg: float
     runner_up_rms_m: float
     coverage_model: float

@@ -213,9 +213,8 @@ class Part(_message.Message):
     def __init__(self, name: _Optional[str] = ..., value: _Optional[float] = ..., reference: _Optional[float] = ..., merit: _Optional[float] = ...) -> None: ...
 
 class Detection(_message.Message):
-    __slots__ = ("id", "cluster", "model", "fate", "reason", "T_world_object", "T_scene_model", "position_world", "position_scene", "heading_deg", "heading_margin", "correlation", "rms_m", "inliers", "runner_up_heading_deg", "runner_up_rms_m", "coverage_model", "coverage_scene", "observed", "score", "parts", "size_m", "alternative", "alternative_margin", "cause", "duplicate_of", "log_odds", "tilt_deg", "gate_m", "sharp_m", "min_score")
+    __slots__ = ("id", "model", "fate", "reason", "T_world_object", "T_scene_model", "position_world", "position_scene", "heading_deg", "heading_margin", "correlation", "rms_m", "inlier_weight", "runner_up_heading_deg", "runner_up_rms_m", "coverage_model", "coverage_scene", "observed", "score", "parts", "size_m", "alternative", "alternative_margin", "cause", "duplicate_of", "log_odds", "tilt_deg", "gate_m", "sharp_m", "min_score")
     ID_FIELD_NUMBER: _ClassVar[int]
-    CLUSTER_FIELD_NUMBER: _ClassVar[int]
     MODEL_FIELD_NUMBER: _ClassVar[int]
     FATE_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
@@ -227,7 +226,7 @@ class Detection(_message.Message):
     HEADING_MARGIN_FIELD_NUMBER: _ClassVar[int]
     CORRELATION_FIELD_NUMBER: _ClassVar[int]
     RMS_M_FIELD_NUMBER: _ClassVar[int]
-    INLIERS_FIELD_NUMBER: _ClassVar[int]
+    INLIER_WEIGHT_FIELD_NUMBER: _ClassVar[int]
     RUNNER_UP_HEADING_DEG_FIELD_NUMBER: _ClassVar[int]
     RUNNER_UP_RMS_M_FIELD_NUMBER: _ClassVar[int]
     COVERAGE_MODEL_FIELD_NUMBER: _ClassVar[int]
@@ -246,7 +245,6 @@ class Detection(_message.Message):
     SHARP_M_FIELD_NUMBER: _ClassVar[int]
     MIN_SCORE_FIELD_NUMBER: _ClassVar[int]
     id: int
-    cluster: int
     model: str
     fate: str
     reason: str
@@ -258,7 +256,7 @@ class Detection(_message.Message):
     heading_margin: float
     correlation: float
     rms_m: float
-    inliers: int
+    inlier_weight: float
     runner_up_heading_deg: float
     runner_up_rms_m: float
     coverage_model: float
@@ -276,4 +274,4 @@ class Detection(_message.Message):
     gate_m: float
     sharp_m: float
     min_score: float
-    def __init__(self, id: _Optional[int] = ..., cluster: _Optional[int] = ..., model: _Optional[str] = ..., fate: _Optional[str] = ..., reason: _Optional[str] = ..., T_world_object: _Optional[_Union[Array, _Mapping]] = ..., T_scene_model: _Optional[_Union[Array, _Mapping]] = ..., position_world: _Optional[_Iterable[float]] = ..., position_scene: _Optional[_Iterable[float]] = ..., heading_deg: _Optional[float] = ..., heading_margin: _Optional[float] = ..., correlation: _Optional[float] = ..., rms_m: _Optional[float] = ..., inliers: _Optional[int] = ..., runner_up_heading_deg: _Optional[float] = ..., runner_up_rms_m: _Optional[float] = ..., coverage_model: _Optional[float] = ..., coverage_scene: _Optional[float] = ..., observed: _Optional[float] = ..., score: _Optional[float] = ..., parts: _Optional[_Iterable[_Union[Part, _Mapping]]] = ..., size_m: _Optional[_Iterable[float]] = ..., alternative: _Optional[str] = ..., alternative_margin: _Optional[float] = ..., cause: _Optional[str] = ..., duplicate_of: _Optional[int] = ..., log_odds: _Optional[float] = ..., tilt_deg: _Optional[float] = ..., gate_m: _Optional[float] = ..., sharp_m: _Optional[float] = ..., min_score: _Optional[float] = ...) -> None: ...
+    def __init__(self, id: _Optional[int] = ..., model: _Optional[str] = ..., fate: _Optional[str] = ..., reason: _Optional[str] = ..., T_world_object: _Optional[_Union[Array, _Mapping]] = ..., T_scene_model: _Optional[_Union[Array, _Mapping]] = ..., position_world: _Optional[_Iterable[float]] = ..., position_scene: _Optional[_Iterable[float]] = ..., heading_deg: _Optional[float] = ..., heading_margin: _Optional[float] = ..., correlation: _Optional[float] = ..., rms_m: _Optional[float] = ..., inlier_weight: _Optional[float] = ..., runner_up_heading_deg: _Optional[float] = ..., runner_up_rms_m: _Optional[float] = ..., coverage_model: _Optional[float] = ..., coverage_scene: _Optional[float] = ..., observed: _Optional[float] = ..., score: _Optional[float] = ..., parts: _Optional[_Iterable[_Union[Part, _Mapping]]] = ..., size_m: _Optional[_Iterable[float]] = ..., alternative: _Optional[str] = ..., alternative_margin: _Optional[float] = ..., cause: _Optional[str] = ..., duplicate_of: _Optional[int] = ..., log_odds: _Optional[float] = ..., tilt_deg: _Optional[float] = ..., gate_m: _Optional[float] = ..., sharp_m: _Optional[float] = ..., min_score: _Optional[float] = ...) -> None: ...

@@ -131,7 +131,7 @@ def closeups(read: Reader, detections: Sequence[Detection], most_points: int) ->
     for rows in _blocks(cloud, detections, sampling.density * (2 * reach) ** 2):
         block = [detections[row] for row in rows]
         for row, d, (xyz, rgb) in zip(rows, block, _cut(cloud, block, reach[rows]), strict=True):
-            spin = _own_spin(xyz, places.get(d.cluster), spins.get(d.model), hits.get(d.model))
+            spin = _own_spin(xyz, places.get(d.id), spins.get(d.model), hits.get(d.model))
             found[row] = _closeup(d, xyz, rgb, spin, looks[d.model], sampling, most_points)
     yield from (found[row] for row in range(len(detections)))
 

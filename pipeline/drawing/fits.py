@@ -39,7 +39,7 @@ class Fit(NamedTuple):
     @property
     def steps(self) -> list[int]:
         """(P,) on the timeline."""
-        return [candidate_step(self.detection.cluster, i) for i in range(len(self.poses))]
+        return [candidate_step(self.detection.id, i) for i in range(len(self.poses))]
 
 
 def order_fits(detections: Sequence[Detection], traces: Sequence[FitTrace]) -> list[Fit]:
@@ -47,7 +47,7 @@ def order_fits(detections: Sequence[Detection], traces: Sequence[FitTrace]) -> l
     trace_of = {trace.cluster: trace for trace in traces}
     fits: list[Fit] = []
     for detection in detections:
-        trace = trace_of.get(detection.cluster)
+        trace = trace_of.get(detection.id)
         poses = detection.T_world_object.reshape(1, 4, 4)
         if trace is not None:
             walked = trace.poses.reshape(-1, 4, 4)[: STEPS_A_CANDIDATE - 2]

@@ -41,7 +41,7 @@ def draw(
     read: Reader, rec: rr.RecordingStream, preview_points: int, truth: Truth | None = None
 ) -> None:
     """Log all fates at once, then candidate by candidate, then by threshold."""
-    detections = sorted(read(DETECTIONS), key=lambda d: (d.cluster, d.score))
+    detections = sorted(read(DETECTIONS), key=lambda d: (d.id, d.score))
     models = {model.name: model for model in read(MODELS)}
     draw_shapes(rec, list(models.values()))
     at_stage(rec, "verify")
@@ -55,7 +55,7 @@ def draw(
     draw_pose(rec, max(detections, key=lambda d: (d.fate == "accepted", d.score)), models)
     _draw_ledger(rec, detections)
     ranked = worth_a_look(detections, CLOSE_UP)
-    close = {d.cluster for d in ranked}
+    close = {d.id for d in ranked}
     fits = order_fits(detections, [trace for trace in read(TRACES) if trace.cluster in close])
     draw_rms(rec, fits)
     draw_fits(rec, fits, models)

@@ -117,7 +117,7 @@ class _Trail:
         ).reshape(len(missed), len(detections))
         self._distance = distances(missed, np.array([d.position_world for d in detections]))
         clusters = {c.id: c.position for c in read(CLUSTERS)}
-        starts = np.array([clusters[d.cluster] for d in detections]).reshape(-1, 3)
+        starts = np.array([clusters[d.id] for d in detections]).reshape(-1, 3)
         reach = np.array([self._reach_m[d.model] for d in detections])
         self._start_distance = _horizontal(missed, starts)
         self._began = self._start_distance <= reach

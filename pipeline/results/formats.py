@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from spinpipe.pipeline.results.geojson import geojson, scene_crs
+from spinpipe.pipeline.results.geojson import geojson
 from spinpipe.pipeline.results.instances import ROW_COLUMNS, ReadTopic, entry, mesh_of, row
 from spinpipe.pipeline.scenes.write_ply import cloud_rows, write_ply
 from spinpipe.schemas import SCENE
@@ -50,13 +50,13 @@ def _cell(value: object) -> object:
 def write_json(export: Export, path: Path) -> None:
     """The document of detections.json, see docs/results.md."""
     entries = [entry(d, export.models) for d in export.detections]
-    document = {"schema": 1, "run": export.run, "detections": entries}
+    document = {"schema": 2, "run": export.run, "detections": entries}
     path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def write_geojson(export: Export, path: Path) -> None:
     """Footprints in longitude and latitude."""
-    text = geojson(export.detections, export.models, scene_crs(export.read(SCENE)[0]))
+    text = geojson(export.detections, export.models, export.read(SCENE)[0].crs)
     path.write_text(text, encoding="utf-8")
 
 

@@ -9,13 +9,8 @@ import json
 from collections.abc import Mapping, Sequence
 
 from spinpipe.pipeline.results.instances import T_scene_object, box_corners, plain, row
-from spinpipe.schemas.records import Detection, ObjectModel, SceneFrame
+from spinpipe.schemas.records import Detection, ObjectModel
 from spinpipe.stages.stage import StageError
-
-
-def scene_crs(scene: SceneFrame) -> str:
-    """What the scene says about its coordinate reference system; empty if nothing."""
-    return str(getattr(scene, "crs", ""))
 
 
 def geojson(detections: Sequence[Detection], models: Mapping[str, ObjectModel], crs: str) -> str:

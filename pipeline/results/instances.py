@@ -88,7 +88,7 @@ def entry(d: Detection, models: Mapping[str, ObjectModel]) -> dict[str, Any]:
     values["heading_scene_deg"] = heading_scene_deg(T_scene_object(d, models))
     values["quaternion_xyzw"] = tuple(rotation_quaternion(d.T_world_object).tolist())
     values["parts"] = {part.name: part.value for part in d.parts}
-    if d.parts and len(dataclasses.fields(d.parts[0])) > 2:
+    if d.parts:
         values["evidence"] = d.parts
     values["runner_up"] = {"heading_deg": d.runner_up_heading_deg, "rms_m": d.runner_up_rms_m}
     return {name: plain(value) for name, value in values.items()}

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from spinpipe.pipeline.results.geojson import scene_crs
 from spinpipe.pipeline.results.instances import ReadTopic
 from spinpipe.schemas import CLOUD, SCENE, TILES, UPRIGHT
 from spinpipe.schemas.arrays import F32, I64
@@ -40,10 +39,10 @@ def write_las(read: ReadTopic, detections: Sequence[Detection], path: Path) -> N
     reach_m = float(np.abs([tiles.low, tiles.high]).max())
     header.scales = max(STEP_M, reach_m / 2**30) / np.array(scene.scale)  # 32-bit numbers of steps
     header.offsets = np.floor(scene.origin)
-    if crs := scene_crs(scene):
+    if scene.crs:
         from pyproj import CRS
 
-        header.add_crs(CRS.from_user_input(crs))
+        header.add_crs(CRS.from_user_input(scene.crs))
     with path.open("wb") as file, laspy.open(
         file, "w", header=header, do_compress=path.name.removesuffix(".partial").endswith(".laz"),
         closefd=False,

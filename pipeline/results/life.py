@@ -26,6 +26,10 @@ class Test:
     limit: str = ""
     passed: bool | None = None
     """``None`` where nothing was tested."""
+    key: str = ""
+    """Of the config, that says the limit; then the two numbers."""
+    found: float = 0.0
+    wanted: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -34,8 +38,6 @@ class Life:
 
     detection: Detection
     tests: list[Test]
-    winner: int | None
-    """Id of the detection that stands in the same place and won."""
     remedies: list[str]
 
 
@@ -57,31 +59,15 @@ def find_detection(detections: Sequence[Detection], number: int) -> Detection:
 
 def life_of(d: Detection, read: ReadTopic, config: RunConfig) -> Life:
     """Collect what the run's files say about one candidate."""
-    detections = read(DETECTIONS)
-    winner = winner_of(d, detections)
+    winner = d.duplicate_of if d.duplicate_of >= 0 else None
     tests = [*_scan(d, read, config), *_registration(d, read)]
     limits = list(limit_tests(d, config.stages["verify"]))
     tests += limits
     if winner is not None:
-        rival = find_detection(detections, winner)
+        rival = find_detection(read(DETECTIONS), winner)
         value = f"candidate {winner} ({rival.model}, score {rival.score:.2f}) stands there"
         tests.append(Test("verify", "place is free", value, "no better one", False))
-    return Life(d, tests, winner, _remedies(d, limits, winner))
-
-
-def winner_of(d: Detection, detections: Sequence[Detection]) -> int | None:
-    """Id of the kept detection whose body ``d`` gave way to, if it did."""
-    stated = getattr(d, "duplicate_of", -1)
-    if stated is not None and stated >= 0:
-        return int(stated)
-    if d.fate != "duplicate":
-        return None
-    kept = [k for k in detections if k.fate in ("accepted", "ambiguous")]
-    if not kept:
-        return None
-    away = [float(np.hypot(*np.subtract(k.position_world, d.position_world)[:2])) for k in kept]
-    nearest = int(np.argmin(away))
-    return kept[nearest].id if away[nearest] < max(d.size_m) else None
+    return Life(d, tests, _remedies(d, limits, winner))
 
 
 NEARLY = 0.5
@@ -110,12 +96,13 @@ def limit_tests(d: Detection, section: Section) -> list[Test]:
             sign = "at least" if kind == "min" else "at most"
             words = match.replace("_", " ")
             told = f"{sign} {limit:g} (verify.{below}.{key})"
-            tests.append(Test("verify", words, f"{value:.3f}", told, passed))
+            rule = (f"verify.{below}.{key}", value, limit)
+            tests.append(Test("verify", words, f"{value:.3f}", told, passed, *rule))
     return tests
 
 
 def _scan(d: Detection, read: ReadTopic, config: RunConfig) -> list[Test]:
-    cluster = next((c for c in read(CLUSTERS) if c.id == d.cluster), None)
+    cluster = next((c for c in read(CLUSTERS) if c.id == d.id), None)
     if cluster is None:
         return []
     hits = next((h for h in read(HITS) if h.model == cluster.model), None)
@@ -149,13 +136,13 @@ def _scan(d: Detection, read: ReadTopic, config: RunConfig) -> list[Test]:
 
 def _registration(d: Detection, read: ReadTopic) -> list[Test]:
     tests: list[Test] = []
-    trace = next((t for t in read(TRACES) if t.cluster == d.cluster), None)
+    trace = next((t for t in read(TRACES) if t.cluster == d.id), None)
     if trace is not None:
         steps = max(len(trace.poses) - 1, 1)
         value = f"{len(trace.start_heading_deg)} starts as {d.model}, {steps} steps of the best"
         tests.append(Test("verify", "registration", value))
-    moved = f"{d.rms_m:.3f} m over {d.inliers} points" if np.isfinite(d.rms_m) else "no points"
-    tests.append(Test("verify", "residual", moved))
+    off = f"{d.rms_m:.3f} m over a weight of {d.inlier_weight:.0f}"
+    tests.append(Test("verify", "residual", off if np.isfinite(d.rms_m) else "no points"))
     if np.isfinite(d.runner_up_rms_m):
         rival = f"{d.runner_up_heading_deg:.0f}°, residual {d.runner_up_rms_m:.3f} m"
         tests.append(Test("verify", "runner-up heading", rival))
@@ -184,9 +171,7 @@ def _remedies(d: Detection, limits: Sequence[Test], winner: int | None) -> list[
     failed = next((test for test in limits if test.passed is False), None)
     if failed is None:
         return [f"what made it {d.fate}: {d.reason}"]
-    limit, _, key = failed.limit.rstrip(")").partition(" (")
-    advice = [f"{failed.what} {failed.value} would have to be {limit}"]
-    value, wanted = float(failed.value), float(limit.rpartition(" ")[2])
-    if NEARLY * wanted <= value <= wanted / NEARLY:
-        advice.append(f"to see what else would pass with it: --set {key}={value:.3f}")
+    advice = [f"{failed.what} {failed.value} would have to be {failed.limit}"]
+    if NEARLY * failed.wanted <= failed.found <= failed.wanted / NEARLY:
+        advice.append(f"to see what else would pass with it: --set {failed.key}={failed.found:.3f}")
     return advice

@@ -10,7 +10,6 @@ from spinpipe.pipeline.config import RunConfig
 from spinpipe.pipeline.keys import content_digest, content_hash
 from spinpipe.pipeline.outputs import Outputs
 from spinpipe.pipeline.results import formats
-from spinpipe.pipeline.results.geojson import scene_crs
 from spinpipe.pipeline.results.instances import ReadTopic
 from spinpipe.pipeline.run_folder import RunFolder
 from spinpipe.schemas import DETECTIONS, MODELS, SCENE
@@ -50,7 +49,7 @@ def write_results(
     write(folder.detections_json, key, lambda path: formats.write_json(every, path))
     write(folder.detections_csv, key, lambda path: formats.write_csv(accepted, path))
     write(folder.detections_ply, key, lambda path: formats.write_meshes(accepted, path))
-    if scene_crs(read(SCENE)[0]):
+    if read(SCENE)[0].crs:
         write(folder.detections_geojson, key, lambda path: formats.write_geojson(accepted, path))
     if not all(outputs.current(p, key) for p in (folder.detections_png, folder.report_html)):
         _write_pictures(config, read, folder, report, every, outputs, key)

@@ -101,7 +101,6 @@ def _detection(
     other = candidates.models[verdict.alternative].name if verdict.alternative >= 0 else ""
     return Detection(
         id=cluster.id,
-        cluster=cluster.id,
         model=model.name,
         fate=verdict.fate,
         cause=verdict.cause,
@@ -114,7 +113,7 @@ def _detection(
         heading_margin=verdict.heading_margin,
         correlation=cluster.correlation,
         rms_m=evidence.get("rms_m", float("inf")),
-        inliers=int(evidence.get("explained", 0.0)),
+        inlier_weight=evidence.get("explained", 0.0),
         runner_up_heading_deg=float(np.degrees(verdict.runner_up[3]) % 360.0),
         runner_up_rms_m=verdict.runner_up_rms_m,
         coverage_model=min(evidence.get("supported", 0.0), 1.0),

@@ -274,7 +274,7 @@ def test_verify_decides_on_candidates_in_degenerate_clouds(
     candidates = [Cluster(i, "saloon", p, 3, 0.7, "delaunay") for i, p in enumerate(places)]
     given = messages | as_messages(cloud) | {CLUSTERS: candidates}
     outputs = run(NAMED["verify"], section, given, tmp_path).outputs
-    assert [d.cluster for d in outputs[DETECTIONS]] == [0, 1, 2]
+    assert [d.id for d in outputs[DETECTIONS]] == [0, 1, 2]
     for detection in outputs[DETECTIONS]:
         assert detection.fate == "rejected"
         assert detection.reason

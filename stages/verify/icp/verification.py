@@ -124,12 +124,12 @@ class _Judge:
             pose = np.eye(4)
             pose[:3, 3] = np.asarray(cluster.position) - self._target.top
             rms_m = runner_rms_m = float("inf")
-            inliers, runner_heading, margin = 0, 0.0, 0.0
+            pairs, runner_heading, margin = 0, 0.0, 0.0
             coverage = (0.0, 0.0)
         else:
             best, runner = fit.best, fit.runner_up
             pose = fit.poses[-1, best]
-            rms_m, inliers = float(fit.rms_m[-1, best]), int(fit.inliers[best])
+            rms_m, pairs = float(fit.rms_m[-1, best]), int(fit.inliers[best])
             runner_rms_m = float(fit.rms_m[-1, runner]) if runner is not None else float("inf")
             runner_heading = heading_deg(fit.poses[-1, runner]) if runner is not None else 0.0
             margin = (runner_rms_m - rms_m) / rms_m if rms_m > 0 else float("inf")
@@ -138,7 +138,6 @@ class _Judge:
         T_scene_object = self._T_scene_world @ pose
         return Detection(
             id=cluster.id,
-            cluster=cluster.id,
             model=model.name,
             fate=fate,
             cause=cause,
@@ -151,7 +150,7 @@ class _Judge:
             heading_margin=margin,
             correlation=cluster.correlation,
             rms_m=rms_m,
-            inliers=inliers,
+            inlier_weight=float(pairs),
             runner_up_heading_deg=runner_heading,
             runner_up_rms_m=runner_rms_m,
             coverage_model=coverage[0],

@@ -101,7 +101,6 @@ def make_detection(number: int, model: str, fate: str) -> Detection:
     T_world_object[:3, 3] = (number, -number, 0)
     return Detection(
         id=number,
-        cluster=number,
         model=model,
         fate=fate,
         reason=f"{fate} for a reason",
@@ -113,7 +112,7 @@ def make_detection(number: int, model: str, fate: str) -> Detection:
         heading_margin=0.4,
         correlation=0.8,
         rms_m=0.09,
-        inliers=400,
+        inlier_weight=400.0,
         runner_up_heading_deg=180.0,
         runner_up_rms_m=0.13,
         coverage_model=0.7,

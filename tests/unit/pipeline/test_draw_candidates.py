@@ -194,7 +194,6 @@ def test_labels_of_kept_ones_do_not_hide_each_other(tmp_path: Path) -> None:
         replace(
             make_detection(0, "saloon", "accepted"),
             id=i,
-            cluster=i,
             position_world=(0.01 * i, 0, 0),
         )
         for i in range(20)

@@ -24,7 +24,6 @@ def detection(number: int, x: float, fate: str, reason: str = "", model: str = "
     pose = np.eye(4)
     return Detection(
         id=number,
-        cluster=number,
         model=model,
         fate=fate,
         reason=reason,
@@ -36,7 +35,7 @@ def detection(number: int, x: float, fate: str, reason: str = "", model: str = "
         heading_margin=0.0,
         correlation=0.9,
         rms_m=0.05,
-        inliers=100,
+        inlier_weight=100.0,
         runner_up_heading_deg=0.0,
         runner_up_rms_m=0.1,
         coverage_model=1.0,

@@ -51,7 +51,6 @@ def detection(number: int = 0, fate: str = "accepted", model: str = "plate") -> 
     pose = yaw_matrix(90.0, np.array([5.0, 6.0, 0.0]))
     return Detection(
         id=number,
-        cluster=number,
         model=model,
         fate=fate,
         reason="because",
@@ -63,7 +62,7 @@ def detection(number: int = 0, fate: str = "accepted", model: str = "plate") -> 
         heading_margin=float("inf"),
         correlation=0.9,
         rms_m=0.05,
-        inliers=400,
+        inlier_weight=400.0,
         runner_up_heading_deg=270.0,
         runner_up_rms_m=float("nan"),
         coverage_model=0.9,
@@ -94,7 +93,7 @@ def test_json_holds_every_candidate_and_is_strict_json(tmp_path: Path) -> None:
     )
     text = path.read_text()
     document = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
-    assert document["schema"] == 1
+    assert document["schema"] == 2
     assert document["run"] == "lot"
     assert [d["fate"] for d in document["detections"]] == ["accepted", "rejected", "ambiguous"]
     first = document["detections"][0]

@@ -119,8 +119,7 @@ RECORDS: list[tuple[Topic[Any], st.SearchStrategy[Any]]] = [
         st.builds(
             records.Detection,
             id=counts,
-            cluster=counts,
-            inliers=counts,
+            inlier_weight=numbers,
             model=texts,
             fate=st.sampled_from(["accepted", "ambiguous", "rejected"]),
             reason=texts,
