@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import stat
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from spinpipe.pipeline.outputs import MARK
-from spinpipe.pipeline.scenes.gltf_buffers import external_buffers
 from spinpipe.stages.stage import StageError
 
 _CLOCK_S = 0.02
@@ -47,7 +48,7 @@ def hash_path(path: Path, key: str) -> str:
                 else:
                     digest.update(hashlib.file_digest(stream, "sha256").digest())
         if path.suffix.lower() == ".gltf":
-            for content in external_buffers(path):
+            for content in _gltf_buffers(path):
                 digest.update(hashlib.sha256(content).digest())
     except OSError as error:
         raise StageError(f"{key}: cannot read {path}: {error.strerror}") from None
@@ -88,3 +89,30 @@ def _files(path: Path, key: str) -> Iterator[Path]:
         for file in (Path(folder, name) for name in sorted(names)):
             if file.is_file():
                 yield file
+
+
+def _gltf_buffers(path: Path) -> Iterator[bytes]:
+    """Content of the buffers that a glTF file refers to, found as the reader of meshes finds them.
+
+    Buffers within the file, and images, are left out [Khronos glTF 2.0, section 3.6.1].
+
+    Raises
+    ------
+    StageError
+        If the file is no glTF or a buffer cannot be read.
+    """
+    from trimesh.resolvers import FilePathResolver  # heavy: only where needed
+
+    resolver = FilePathResolver(str(path))
+    try:
+        document: dict[str, Any] = json.loads(path.read_bytes())
+        uris = [buffer.get("uri", "data:") for buffer in document.get("buffers", [])]
+    except (ValueError, AttributeError, TypeError) as error:
+        raise StageError(f"{path}: not a glTF file ({error}); export it again") from None
+    for uri in uris:
+        if uri.startswith("data:"):
+            continue
+        try:
+            yield resolver.get(uri)
+        except (OSError, ValueError) as error:
+            raise StageError(f"{path}: cannot read its buffer '{uri}'; put it beside") from error

@@ -15,8 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spinpipe.stages.compiled import inner
-from spinpipe.stages.verify.fit.ground_hole import hides_ground
-from spinpipe.stages.verify.model.lookup import nearest_edge, nearest_sample
+from spinpipe.stages.verify.model.lookup import inside_depth, nearest_edge, nearest_sample
 from spinpipe.stages.verify.model.pose import POSE, pose_of, to_object
 from spinpipe.stages.verify.scene.candidate_points import thinned
 
@@ -78,7 +77,7 @@ def refine(body, ground, field, start, gates, stretch, base, course):
         last = narrowing == len(gates) - 1
         some = body if last else thinned(body, FIRST_POINTS << narrowing)
         inset = 0.5 * gates[-1]
-        hides = hides_ground(ground, field, pose_of(pose), gate + inset)
+        hides = _hides_ground(ground, field, pose_of(pose), gate + inset)
         for _ in range(STEPS):
             if steps < course.shape[0]:
                 course[steps] = pose
@@ -221,3 +220,33 @@ def _add_priors(A, b, pose, total, gate, reach, stretch, base):
         for i in range(4, POSE):
             A[i, i] += prior
             b[i] += prior * (1.0 - pose[i])
+
+
+@inner
+def _hides_ground(ground, field, pose, inset):
+    """How much less ground is seen well inside the footprint than around it, 0..1.
+
+    Near 1 the outline of the hole in the ground shows where the body stands, even one that returns
+    next to no points itself; near 0 the scene shows what is below things too.
+    """
+    area_inside, area_outside = _areas(field, inset)
+    inside = 0.0
+    outside = 0.0
+    for n in range(ground.xyz.shape[0]):
+        ux, uy, _ = to_object(pose, ground.xyz[n, 0], ground.xyz[n, 1], 0.0)
+        depth = inside_depth(field, ux / pose.stretch_x, uy / pose.stretch_y)
+        if depth > inset:
+            inside += ground.weights[n]
+        elif depth < 0.0 and depth > -np.inf:
+            outside += ground.weights[n]
+    if outside <= 0.0 or area_inside <= 0.0 or area_outside <= 0.0:
+        return 0.0
+    return max(0.0, 1.0 - (inside / area_inside) / (outside / area_outside))
+
+
+@inner
+def _areas(field, inset):
+    """Columns of the field's grid well inside the footprint, and those outside of it."""
+    depths = field.depths
+    inside = len(depths) - np.searchsorted(depths, inset, side="right")
+    return float(inside), float(np.searchsorted(depths, 0.0))

@@ -16,8 +16,13 @@ from scipy.spatial import KDTree
 
 from spinpipe.schemas.arrays import F64
 from spinpipe.stages.geometry.model_surface import top_of
-from spinpipe.stages.verify.model.outline import hull_edges, outline_points
-from spinpipe.stages.verify.model.sight import open_air, reached, turned_outward
+from spinpipe.stages.verify.model.sight import (
+    hull_edges,
+    open_air,
+    outline_points,
+    reached,
+    turned_outward,
+)
 
 NEXT_TO_NOTHING = 0.1
 """Share of a surface that does not tell one heading from another."""
@@ -166,7 +171,7 @@ def build_model_field(
         raise ValueError(f"model {name!r} is flat: {size} m")
     points = points - [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]
     kept = _spread_evenly(points, spread)
-    tree = KDTree(points[kept])
+    tree = KDTree(points[kept], leafsize=32)  # for every voxel: a third faster than with 10
     spacing = float(np.median(tree.query(points[kept], k=2)[0][:, 1]))
     voxel = max(float(size.max()) / resolution, spacing / 2)
     margin = max(0.35 * float(np.median(size)), 4 * voxel)

@@ -1,9 +1,10 @@
-"""What of a model is seen from above, and which side of its surface the air is on."""
+"""What of a model is seen from above: its outline, and which side of its surface the air is on."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 # Directions from which the model is looked at, to tell its body from the air around it: straight
 # down, then rings of eight. Lower rays would look underneath the model.
@@ -68,3 +69,30 @@ def turned_outward(
     behind = reached(samples - 2 * voxel * normals, air, origin, voxel)
     lit = reached(samples, air, origin, voxel)  # not through a thin plate
     return np.where((lit & behind & ~ahead)[:, None], -normals, normals)
+
+
+def hull_edges(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Edges of the convex hull of (N, 2) points: middle and outward unit normal of each."""
+    corners = points[ConvexHull(points).vertices]  # counter-clockwise
+    ends = np.roll(corners, -1, axis=0)
+    along = ends - corners
+    normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.concatenate([(corners + ends) / 2, normal], axis=1)
+
+
+def outline_points(
+    points: NDArray[np.float64], spacing: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points every ``spacing`` along the convex hull of (N, 2) points, and outward normals."""
+    corners = points[ConvexHull(points).vertices]  # counter-clockwise
+    places, normals = [], []
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        length = float(np.hypot(*(b - a)))
+        count = max(1, round(length / spacing))
+        along = (np.arange(count) + 0.5) / count
+        if length < spacing / 4:
+            continue
+        places.append(a + along[:, None] * (b - a))
+        normals.append(np.tile([(b - a)[1] / length, -(b - a)[0] / length], (count, 1)))
+    return np.concatenate(places), np.concatenate(normals)
