@@ -5,7 +5,6 @@ Everything is in the world frame. Pure functions of their arguments: no files, n
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -13,6 +12,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from spinpipe.pipeline.evaluation.truth import TruthObject
 from spinpipe.schemas.arrays import F64
@@ -154,14 +155,8 @@ def precision_recall(
     order = _one_a_place(detections, order)
     near = _near(truths, detections, order, radius_m, rule)
     wanted = np.array([not t.ignore for t in truths], bool)
-    matching = _GrowingMatching(np.isfinite(near) & wanted[:, None])
-    right = np.zeros(len(order))
-    wrong = np.zeros(len(order))
-    for column in range(len(order)):
-        if matching.add(column):
-            right[column] = 1
-        elif not np.isfinite(near[~wanted, column]).any():
-            wrong[column] = 1
+    right = _matched(np.isfinite(near) & wanted[:, None])
+    wrong = ~right & ~np.isfinite(near[~wanted]).any(axis=0)
     score = np.array([detections[i].score for i in order])
     last = np.flatnonzero(np.diff(score, append=-np.inf))  # equal scores are accepted together
     found, false = np.cumsum(right)[last], np.cumsum(wrong)[last]
@@ -174,41 +169,19 @@ def precision_recall(
     return Curve(score, recall, precision, area)
 
 
-class _GrowingMatching:
-    """A largest matching of truths (rows) and detections (columns) that grows by a column a time.
+def _matched(allowed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Columns (N,) that, added one by one, each make the largest matching with rows larger.
 
     What is matched once stays matched, so a detection is right or wrong for good when it is added.
     """
-
-    def __init__(self, allowed: NDArray[np.bool_]) -> None:
-        self._allowed = allowed
-        self._column_of: dict[int, int] = {}
-        self._row_of: dict[int, int] = {}
-
-    def add(self, column: int) -> bool:
-        """Whether the column can be matched too: a search for an augmenting path [Kuhn 1955]."""
-        reached_from: dict[int, int] = {}
-        queue = deque([column])
-        while queue:
-            source = queue.popleft()
-            for row in np.flatnonzero(self._allowed[:, source]).tolist():
-                if row in reached_from:
-                    continue
-                reached_from[row] = source
-                if row not in self._column_of:
-                    self._swap_along(row, reached_from, column)
-                    return True
-                queue.append(self._column_of[row])
-        return False
-
-    def _swap_along(self, row: int, reached_from: dict[int, int], column: int) -> None:
-        while True:
-            source = reached_from[row]
-            left = self._row_of.get(source)
-            self._column_of[row], self._row_of[source] = source, row
-            if source == column or left is None:
-                return
-            row = left
+    near = np.flatnonzero(allowed.any(axis=0))
+    sizes = [
+        np.count_nonzero(maximum_bipartite_matching(csr_array(allowed[:, near[: k + 1]])) >= 0)
+        for k in range(len(near))
+    ]
+    found = np.zeros(allowed.shape[1], bool)
+    found[near] = np.diff(sizes, prepend=0) > 0
+    return found
 
 
 def _one_a_place(detections: Sequence[Detection], order: list[int]) -> list[int]:
