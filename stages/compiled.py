@@ -1,13 +1,16 @@
 """How kernels are compiled, and what keys those of them that are kept on disk.
 
-Only the outermost kernels are cached. Numba's cache looks at the file of the outermost one alone,
-so it encloses a digest of the sources of all kernels it is made of: a change to any compiles anew.
+Only the outermost kernels are kept. Numba looks at the file of the outermost one alone, so its name
+holds a digest of the sources of all kernels it is made of: a change to any compiles anew, and what
+an earlier version kept, of types that may be gone, is not even read.
 """
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from numba import njit
 
@@ -27,6 +30,17 @@ inlined = njit(
     forceinline=True,
 )
 """The same for what is called at every origin."""
+
+
+def kept(folder: str) -> Callable[[Callable[..., Any]], Any]:
+    """Compiles an outermost kernel of a folder beside this file, and keeps it on disk."""
+    digest = sources(folder)[:16]
+
+    def compiled(kernel: Callable[..., Any]) -> Any:
+        kernel.__qualname__ += f"_{digest}"
+        return njit(cache=True, nogil=True, error_model="numpy")(kernel)
+
+    return compiled
 
 
 def sources(folder: str) -> str:

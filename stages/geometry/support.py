@@ -11,12 +11,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from spinpipe.schemas.arrays import F64, I64
 from spinpipe.schemas.records import Sampling
-from spinpipe.stages.compiled import inner, sources
+from spinpipe.stages.compiled import inner, kept
 from spinpipe.stages.geometry.columns import column_order
 
 CELLS_PER_REACH = 5.0
@@ -143,52 +142,46 @@ def find_support(places: F64, base_m: F64, surfaces: Surfaces, slack_m: F64) -> 
     return Support(*found.T)
 
 
-def _kernels(sources: str):
-    """Define the kernels that are kept on disk, see ``compiled``."""
-
-    @njit(cache=True, nogil=True, error_model="numpy")
-    def surfaces_of(z, first, keys, cells, gap_m, least):
-        _ = sources
-        start = np.zeros(cells + 1, np.int64)
-        height = np.empty(len(z), np.float64)
-        count = 0
-        cell = 0
-        for c in range(len(keys)):
-            while cell <= keys[c]:
-                start[cell] = count
-                cell += 1
-            begin = first[c]
-            for n in range(first[c] + 1, first[c + 1] + 1):
-                if n < first[c + 1] and z[n] - z[n - 1] <= gap_m:
-                    continue
-                if n - begin >= least:
-                    height[count] = z[begin + (n - begin) // LOWEST_SHARE]
-                    count += 1
-                begin = n
-        while cell <= cells:
+@kept("geometry")
+def _surfaces(z, first, keys, cells, gap_m, least):
+    start = np.zeros(cells + 1, np.int64)
+    height = np.empty(len(z), np.float64)
+    count = 0
+    cell = 0
+    for c in range(len(keys)):
+        while cell <= keys[c]:
             start[cell] = count
             cell += 1
-        return start, height[:count].copy()
+        begin = first[c]
+        for n in range(first[c] + 1, first[c + 1] + 1):
+            if n < first[c + 1] and z[n] - z[n - 1] <= gap_m:
+                continue
+            if n - begin >= least:
+                height[count] = z[begin + (n - begin) // LOWEST_SHARE]
+                count += 1
+            begin = n
+    while cell <= cells:
+        start[cell] = count
+        cell += 1
+    return start, height[:count].copy()
 
-    @njit(cache=True, nogil=True, error_model="numpy")
-    def supported(points, surfaces, bands, eligible):
-        _ = sources
-        for n in range(points.shape[0]):
-            i, j = _cell(surfaces, points[n, 0], points[n, 1])
-            needed = max(1.0, SEEN_SHARE * surfaces.seen[i, j])
-            z = points[n, 2]
-            for m in range(bands.shape[0]):
-                if _count(surfaces, i, j, z - bands[m, 1], z - bands[m, 0], needed) >= needed:
-                    eligible[n] = True
-                    break
 
-    @njit(cache=True, nogil=True, error_model="numpy")
-    def planes(places, base_m, surfaces, slack_m, found):
-        _ = sources
-        for c in range(places.shape[0]):
-            _support_plane(places[c, 0], places[c, 1], base_m[c], surfaces, slack_m[c], found[c])
+@kept("geometry")
+def _has_support(points, surfaces, bands, eligible):
+    for n in range(points.shape[0]):
+        i, j = _cell(surfaces, points[n, 0], points[n, 1])
+        needed = max(1.0, SEEN_SHARE * surfaces.seen[i, j])
+        z = points[n, 2]
+        for m in range(bands.shape[0]):
+            if _count(surfaces, i, j, z - bands[m, 1], z - bands[m, 0], needed) >= needed:
+                eligible[n] = True
+                break
 
-    return surfaces_of, supported, planes
+
+@kept("geometry")
+def _find_support(places, base_m, surfaces, slack_m, found):
+    for c in range(places.shape[0]):
+        _support_plane(places[c, 0], places[c, 1], base_m[c], surfaces, slack_m[c], found[c])
 
 
 @inner
@@ -312,6 +305,3 @@ def _refit(near, z, a, b, slack, reach2):
     slope = math.hypot(plane[1], plane[2])
     shrink = min(1.0, STEEPEST / slope) if slope > 0.0 else 1.0
     return plane[0], shrink * plane[1], shrink * plane[2]
-
-
-_surfaces, _has_support, _find_support = _kernels(sources("geometry"))

@@ -8,9 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from spinpipe.stages.compiled import inner, sources
+from spinpipe.stages.compiled import inner, kept
 from spinpipe.stages.verify.evidence.gather import gather_evidence
 from spinpipe.stages.verify.evidence.scene import root_mean_square, scene_evidence
 from spinpipe.stages.verify.fit.coarse_bounds import search_reach
@@ -39,70 +38,59 @@ def _gates(limits):
     return np.array([coarse, math.sqrt(coarse * fine), fine])
 
 
-def _kernels(sources: str):
-    """Define the outermost kernels; numba keys its cache by the values they enclose."""
+@kept("verify")
+def local_scene(grid, origin, axes, radius):
+    """The points around a place in the frame of its support, see ``cell_grid.seen_from``."""
+    return seen_from(grid, origin, axes, radius)
 
-    @njit(cache=True, nogil=True, error_model="numpy")
-    def local_scene(grid, origin, axes, radius):
-        """The points around a place in the frame of its support, see ``cell_grid.seen_from``."""
-        _ = sources
-        return seen_from(grid, origin, axes, radius)
 
-    @njit(cache=True, nogil=True, error_model="numpy")
-    def reach(field, limits):
-        """How far from a candidate the points of an object may lie, metres."""
-        _ = sources
-        return search_reach(field, limits)
+@kept("verify")
+def reach(field, limits):
+    """How far from a candidate the points of an object may lie, metres."""
+    return search_reach(field, limits)
 
-    @njit(cache=True, nogil=True, error_model="numpy")
-    def coarse_fits(scene, field, limits, top, poses, gains):
-        """Fill ``poses`` (K, 7) and ``gains`` (K,) with the best coarse fits of a candidate."""
-        _ = sources
-        coarse_search(scene, field, limits, top, poses, gains)
 
-    @njit(cache=True, nogil=True, error_model="numpy")
-    def refined(scene, field, limits, poses, evidence):
-        """Refine each of ``poses`` (S, 7) in place and fill its row of the evidence (S, E)."""
-        _ = sources
-        gates = _gates(limits)
-        base = Base(0.0, limits.gate_m if limits.stretch > 0.0 else 0.0)
-        no_course = np.empty((0, POSE))
-        for c in range(poses.shape[0]):
-            body, ground = _fine_points(scene, field, limits, poses[c])
-            if body.xyz.shape[0] < TOO_FEW:
-                continue
-            pose, _, _ = refine(
-                body, ground, field, poses[c], gates, limits.stretch, base, no_course
-            )
-            poses[c] = pose
-            at = pose_of(pose)
-            found = gather_evidence(scene, body, field, at, limits.gate_m, limits.sharp_m)
-            for k in range(len(found)):
-                evidence[c, k] = found[k]
+@kept("verify")
+def coarse_fits(scene, field, limits, top, poses, gains):
+    """Fill ``poses`` (K, 7) and ``gains`` (K,) with the best coarse fits of a candidate."""
+    coarse_search(scene, field, limits, top, poses, gains)
 
-    @njit(cache=True, nogil=True, error_model="numpy")
-    def course(scene, field, limits, start, course, rms_m):
-        """One registration of ``refined`` again, with the way there.
 
-        Fills poses (I, 7) and residuals (I,), before each step and after the last; returns how many
-        there are.
-        """
-        _ = sources
-        body, ground = _fine_points(scene, field, limits, start)
+@kept("verify")
+def refined(scene, field, limits, poses, evidence):
+    """Refine each of ``poses`` (S, 7) in place and fill its row of the evidence (S, E)."""
+    gates = _gates(limits)
+    base = Base(0.0, limits.gate_m if limits.stretch > 0.0 else 0.0)
+    no_course = np.empty((0, POSE))
+    for c in range(poses.shape[0]):
+        body, ground = _fine_points(scene, field, limits, poses[c])
         if body.xyz.shape[0] < TOO_FEW:
-            return 0
-        base = Base(0.0, limits.gate_m if limits.stretch > 0.0 else 0.0)
-        gates = _gates(limits)
-        pose, _, steps = refine(body, ground, field, start, gates, limits.stretch, base, course)
-        count = min(steps + 1, course.shape[0])
-        free = np.ones(4, np.bool_)
-        course[count - 1] = pose
-        for k in range(count):
-            claim = scene_evidence(body, field, pose_of(course[k]), limits.gate_m, free)
-            rms_m[k] = root_mean_square(claim)
-        return count
-
-    return local_scene, reach, coarse_fits, refined, course
+            continue
+        pose, _, _ = refine(body, ground, field, poses[c], gates, limits.stretch, base, no_course)
+        poses[c] = pose
+        at = pose_of(pose)
+        found = gather_evidence(scene, body, field, at, limits.gate_m, limits.sharp_m)
+        for k in range(len(found)):
+            evidence[c, k] = found[k]
 
 
-local_scene, reach, coarse_fits, refined, course = _kernels(sources("verify"))
+@kept("verify")
+def course(scene, field, limits, start, course, rms_m):
+    """One registration of ``refined`` again, with the way there.
+
+    Fills poses (I, 7) and residuals (I,), before each step and after the last; returns how many
+    there are.
+    """
+    body, ground = _fine_points(scene, field, limits, start)
+    if body.xyz.shape[0] < TOO_FEW:
+        return 0
+    base = Base(0.0, limits.gate_m if limits.stretch > 0.0 else 0.0)
+    gates = _gates(limits)
+    pose, _, steps = refine(body, ground, field, start, gates, limits.stretch, base, course)
+    count = min(steps + 1, course.shape[0])
+    free = np.ones(4, np.bool_)
+    course[count - 1] = pose
+    for k in range(count):
+        claim = scene_evidence(body, field, pose_of(course[k]), limits.gate_m, free)
+        rms_m[k] = root_mean_square(claim)
+    return count

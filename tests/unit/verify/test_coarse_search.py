@@ -4,11 +4,10 @@ import functools
 
 import numpy as np
 import pytest
-from numba import njit
 from tests.unit.verify.twins import coarse_search as twin_coarse_search
 
 from spinpipe.schemas.records import Sampling
-from spinpipe.stages.compiled import sources
+from spinpipe.stages.compiled import kept
 from spinpipe.stages.geometry.shapes import Mesh, box, merged, placed, sample_surface
 from spinpipe.stages.ingest.vehicles import vehicle_mesh
 from spinpipe.stages.verify.fit.coarse_bounds import gain_bounds
@@ -21,17 +20,10 @@ from spinpipe.stages.verify.scene.cell_grid import grid_of
 SAMPLING = Sampling(0.1, 0.02)
 
 
-def _kernels(sources):
-    @njit(cache=True)
-    def bounds_of(body, ground, field, limits, base, tall, enough, bounds):
-        """``gain_bounds`` by itself, which is only called by other kernels."""
-        _ = sources
-        gain_bounds(body, ground, field, limits, base, tall, enough, bounds)
-
-    return bounds_of
-
-
-bounds_of = _kernels(sources("verify"))
+@kept("verify")
+def bounds_of(body, ground, field, limits, base, tall, enough, bounds):
+    """``gain_bounds`` by itself, which is only called by other kernels."""
+    gain_bounds(body, ground, field, limits, base, tall, enough, bounds)
 
 
 @functools.cache
