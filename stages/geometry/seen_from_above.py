@@ -14,6 +14,7 @@ from numba import njit
 from numpy.random import Generator
 
 from spinpipe.schemas.arrays import F64, I64, Mask
+from spinpipe.stages.compiled import inner
 from spinpipe.stages.geometry.shapes import Mesh, sample_surface
 
 _ELEVATIONS_DEG = (90.0, 60.0, 30.0, 0.0, -30.0)  # low cameras see what a table top covers
@@ -167,7 +168,7 @@ def _fill_members(
     return members
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _open_towards(
     points: F64,
     ray: F64,
@@ -181,48 +182,63 @@ def _open_towards(
 ) -> Mask:
     """Walk each ray from cell to cell [Amanatides & Woo 1987]."""
     free = np.ones(len(points), np.bool_)
-    cell, side, until, each = np.empty(3, np.int64), np.zeros(3, np.int64), np.empty(3), np.empty(3)
+    nx, ny, nz = cells[0], cells[1], cells[2]
+    covering = 0
     for n in range(len(points)):
-        for axis in range(3):
-            along = ray[axis]
-            at = points[n, axis] - low[axis]
-            cell[axis] = min(max(int(at / step), 0), cells[axis] - 1)
-            side[axis] = 1 if along > 0 else -1
-            if abs(along) < 1e-12:
-                until[axis] = np.inf
-                each[axis] = np.inf
-            else:
-                border = (cell[axis] + (1 if along > 0 else 0)) * step
-                until[axis], each[axis] = (border - at) / along, step / abs(along)
-        while free[n]:
-            here = (cell[0] * cells[1] + cell[1]) * cells[2] + cell[2]
-            for k in range(starts[here], starts[here + 1]):
-                if _hit(points[n], ray, corners[members[k]], tolerance):
+        if _hit(points, n, ray, corners, covering, tolerance):
+            free[n] = False  # what covers the point before often covers this one
+            continue
+        i, side_x, until_x, each_x = _way_along(points[n, 0] - low[0], ray[0], step, nx)
+        j, side_y, until_y, each_y = _way_along(points[n, 1] - low[1], ray[1], step, ny)
+        k, side_z, until_z, each_z = _way_along(points[n, 2] - low[2], ray[2], step, nz)
+        while 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
+            here = (i * ny + j) * nz + k
+            for m in range(starts[here], starts[here + 1]):
+                if _hit(points, n, ray, corners, members[m], tolerance):
                     free[n] = False
+                    covering = members[m]
                     break
-            axis = int(np.argmin(until))
-            cell[axis] += side[axis]
-            until[axis] += each[axis]
-            if cell[axis] < 0 or cell[axis] >= cells[axis]:
+            if not free[n]:
                 break
+            if until_x <= until_y and until_x <= until_z:
+                i += side_x
+                until_x += each_x
+            elif until_y <= until_z:
+                j += side_y
+                until_y += each_y
+            else:
+                k += side_z
+                until_z += each_z
     return free
 
 
-@njit(cache=True, nogil=True)
-def _hit(point: F64, ray: F64, face: F64, tolerance: float) -> bool:
+@inner
+def _way_along(at: float, along: float, step: float, cells: int):
+    """Along an axis: the cell, where the next one lies, how far that is, and each one after it."""
+    cell = min(max(int(at / step), 0), cells - 1)
+    if abs(along) < 1e-12:
+        return cell, 0, np.inf, np.inf
+    border = (cell + (1 if along > 0 else 0)) * step
+    return cell, (1 if along > 0 else -1), (border - at) / along, step / abs(along)
+
+
+@inner
+def _hit(points: F64, n: int, ray: F64, corners: F64, m: int, tolerance: float) -> bool:
     """Whether a face lies ahead of a point [Moeller & Trumbore 1997]."""
-    ax, ay, az = face[0, 0], face[0, 1], face[0, 2]
-    bx, by, bz = face[1, 0] - ax, face[1, 1] - ay, face[1, 2] - az
-    cx, cy, cz = face[2, 0] - ax, face[2, 1] - ay, face[2, 2] - az
+    ax, ay, az = corners[m, 0, 0], corners[m, 0, 1], corners[m, 0, 2]
+    bx, by, bz = corners[m, 1, 0] - ax, corners[m, 1, 1] - ay, corners[m, 1, 2] - az
+    cx, cy, cz = corners[m, 2, 0] - ax, corners[m, 2, 1] - ay, corners[m, 2, 2] - az
     rx, ry, rz = ray[0], ray[1], ray[2]
     px, py, pz = ry * cz - rz * cy, rz * cx - rx * cz, rx * cy - ry * cx
     area = bx * px + by * py + bz * pz  # twice the face's, as seen along the ray
     if abs(area) <= tolerance * tolerance:
         return False
-    dx, dy, dz = point[0] - ax, point[1] - ay, point[2] - az
+    dx, dy, dz = points[n, 0] - ax, points[n, 1] - ay, points[n, 2] - az
     v = (dx * px + dy * py + dz * pz) / area
+    if v < -1e-9 or v > 1 + 1e-9:
+        return False
     qx, qy, qz = dy * bz - dz * by, dz * bx - dx * bz, dx * by - dy * bx
     w = (rx * qx + ry * qy + rz * qz) / area
-    if min(v, w, 1 - v - w) < -1e-9:
+    if w < -1e-9 or v + w > 1 + 1e-9:
         return False
     return (cx * qx + cy * qy + cz * qz) / area > tolerance
