@@ -153,7 +153,7 @@ def test_paper_writes_tables_and_figures(
 ) -> None:
     monkeypatch.setattr(experiments, "make_scene", partial(make_scene, 15_000))
     monkeypatch.setattr(experiments, "MAX_CANDIDATES", 6)
-    monkeypatch.setattr(paper, "NOISE_M", (0.0, 0.1))
+    monkeypatch.setattr(paper, "NOISE_M", (0.1,))
     monkeypatch.setattr(paper, "SAMPLES", (50, 100))
     outcome = cli("paper", "-o", tmp_path / "out")
     assert outcome.code == 0, outcome.err
