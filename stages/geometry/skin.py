@@ -25,6 +25,8 @@ STEEP = 1.5
 """Least height of a step, in such radii."""
 PLACES, FEWEST_STEPS = 2_000, 20
 FEWEST_POINTS = 8
+ENDS = np.array([0.05, 0.95])
+"""Quantiles of the heights in a column between which a step is."""
 MIDDLE = 0.6745
 """Standard deviations from the middle of a blurred step to a quarter of its height."""
 SHARP = 0.1
@@ -76,7 +78,8 @@ def _amid_steps(points: F64, reach_m: float) -> F64:
 
 def _width(around: F64, z: float, reach_m: float) -> float | None:
     """Standard deviation of the blur of a step that a place at height z is the middle of."""
-    low, high = np.quantile(around[:, 2], [0.05, 0.95])
+    # np.quantile takes ten times as long for so few
+    low, high = np.interp(ENDS * (len(around) - 1), np.arange(len(around)), np.sort(around[:, 2]))
     step = high - low
     if step < STEEP * reach_m or abs(z - (low + high) / 2) > step / 10:
         return None
