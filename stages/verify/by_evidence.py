@@ -18,11 +18,11 @@ from spinpipe.stages.threads import map_threads
 from spinpipe.stages.verify.candidates import Candidates
 from spinpipe.stages.verify.decide.decision import decide
 from spinpipe.stages.verify.decide.verdict import Rules, Verdict
-from spinpipe.stages.verify.judge.examiner import Examiner
 from spinpipe.stages.verify.judge.hypotheses import Course, T_world_object
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
 from spinpipe.stages.verify.judge.scoring import merits
 from spinpipe.stages.verify.judge.search import MapBlocks, Search
+from spinpipe.stages.verify.judge.standards import Standards
 from spinpipe.stages.verify.model.field import ModelField, build_model_field
 from spinpipe.stages.verify.model.known_object import KnownObject
 
@@ -67,16 +67,16 @@ def verify_by_evidence(
     proposed = np.array([names.index(cluster.model) for cluster in clusters])
     search = Search(objects, sampling, candidates.cloud, places, proposed, threads)
     found = search.run(rules.tolerance_m, map_blocks, advance)
-    for name, error in zip(names, found.examiner.error_m, strict=True):
+    for name, error in zip(names, found.standards.error_m, strict=True):
         log(f"surfaces are off by {error:.3f} m at the size of {name}")
     rows_of = found.table.rows_of_candidates(len(places))
-    for verdict in decide(found.examiner, found.table, places, rules):
+    for verdict in decide(found.standards, found.table, places, rules):
         cluster = clusters[verdict.candidate]
         rivals = found.table.rows(rows_of[verdict.candidate])
         courses = found.courses.get(verdict.candidate, [])
         course = next((c for c in courses if np.allclose(c.poses[-1], verdict.pose)), None)
         yield (
-            _detection(candidates, verdict, found.examiner, rules),
+            _detection(candidates, verdict, found.standards, rules),
             _trace(cluster, verdict, rivals, course),
         )
 
@@ -90,7 +90,7 @@ def _field(seeded: tuple[ObjectModel, np.random.Generator], sampling: Sampling) 
 
 
 def _detection(
-    candidates: Candidates, verdict: Verdict, examiner: Examiner, rules: Rules
+    candidates: Candidates, verdict: Verdict, standards: Standards, rules: Rules
 ) -> Detection:
     clusters, model = candidates.clusters, candidates.models[verdict.model]
     cluster = clusters[verdict.candidate]
@@ -120,15 +120,15 @@ def _detection(
         coverage_scene=evidence.get("explained", 0.0) / claimed if claimed > 0 else 0.0,
         observed=min(verdict.observed, 1.0),
         score=verdict.score,
-        parts=_parts(verdict, examiner.reference[verdict.model]),
+        parts=_parts(verdict, standards.reference[verdict.model]),
         size_m=vector(verdict.size_m),
         alternative=other,
         alternative_margin=verdict.alternative_margin,
         duplicate_of=clusters[verdict.duplicate_of].id if verdict.duplicate_of >= 0 else -1,
         log_odds=verdict.odds,
         tilt_deg=math.degrees(math.atan(math.hypot(*verdict.lean))),
-        gate_m=examiner.limits[verdict.model].gate_m,
-        sharp_m=examiner.limits[verdict.model].sharp_m,
+        gate_m=standards.limits[verdict.model].gate_m,
+        sharp_m=standards.limits[verdict.model].sharp_m,
         min_score=rules.min_score,
     )
 

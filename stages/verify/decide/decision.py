@@ -20,9 +20,9 @@ from spinpipe.stages.verify.decide.neighbours import explain_neighbours, standin
 from spinpipe.stages.verify.decide.verdict import Cause, Fate, Rules, Verdict
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
 from spinpipe.stages.verify.evidence.outline import SIDES
-from spinpipe.stages.verify.judge.examiner import Examiner
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
 from spinpipe.stages.verify.judge.scoring import PARTS
+from spinpipe.stages.verify.judge.standards import Standards
 from spinpipe.stages.verify.model.known_object import KnownObject
 
 F64 = NDArray[np.float64]
@@ -34,15 +34,15 @@ NO_ODDS = -99.0
 """Log odds where there is nothing to judge."""
 
 
-def decide(examiner: Examiner, table: Hypotheses, places: F64, rules: Rules) -> list[Verdict]:
+def decide(standards: Standards, table: Hypotheses, places: F64, rules: Rules) -> list[Verdict]:
     """The verdict on every candidate, given all hypotheses."""
-    table = explain_neighbours(examiner, table, rules.min_score)
-    near = standing(examiner, table, rules.min_score)
-    table = judged_by_group(examiner, table, near.best.rows(near.displaced_by < 0))
-    near = standing(examiner, table, rules.min_score)  # scores have changed
+    table = explain_neighbours(standards, table, rules.min_score)
+    near = standing(standards, table, rules.min_score)
+    table = judged_by_group(standards, table, near.best.rows(near.displaced_by < 0))
+    near = standing(standards, table, rules.min_score)  # scores have changed
     best = near.best
     rows_of = table.rows_of_candidates(len(places))
-    sizes = examiner.sizes(best)
+    sizes = standards.sizes(best)
     farther = np.zeros((len(sizes), len(SIDES)), np.bool_)
     for k, rows in enumerate([rows_of[c] for c in best.candidate]):
         as_good = (table.model[rows] == best.model[k]) & (table.odds[rows] > best.odds[k] - AS_GOOD)
@@ -61,7 +61,7 @@ def decide(examiner: Examiner, table: Hypotheses, places: F64, rules: Rules) -> 
         else:
             rivals = table.rows(rows)
             verdicts.append(
-                _judge(examiner, best, k, rivals, int(near.displaced_by[k]), continuing[k], rules)
+                _judge(standards, best, k, rivals, int(near.displaced_by[k]), continuing[k], rules)
             )
     return verdicts
 
@@ -91,7 +91,7 @@ def _nothing_there(candidate: int, place: F64) -> Verdict:
 
 
 def _judge(
-    examiner: Examiner,
+    standards: Standards,
     best: Hypotheses,
     k: int,
     rivals: Hypotheses,
@@ -100,13 +100,13 @@ def _judge(
     rules: Rules,
 ) -> Verdict:
     """The verdict on candidate ``best.candidate[k]``, given all hypotheses about it."""
-    known = examiner.objects[int(best.model[k])]
+    known = standards.objects[int(best.model[k])]
     value = float(best.score[k])
     evidence: dict[str, float] = dict(zip(EVIDENCE, best.evidence[k].tolist(), strict=True))
     parts: dict[str, float] = dict(zip(PARTS, best.parts[k].tolist(), strict=True))
-    margin, runner_up, runner_up_rms_m = _heading_margin(examiner, best, k, rivals)
-    alternative, lead = _alternative(examiner, best, k, rivals)
-    weakest = examiner.weakest_part(best.parts[k], int(best.model[k]))
+    margin, runner_up, runner_up_rms_m = _heading_margin(standards, best, k, rivals)
+    alternative, lead = _alternative(standards, best, k, rivals)
+    weakest = standards.weakest_part(best.parts[k], int(best.model[k]))
     fate, cause, reason = _fate(known, evidence, parts, weakest, value, rules)
     duplicate_of = -1
     if displaced_by >= 0 and best.score[displaced_by] >= rules.min_score:
@@ -118,7 +118,7 @@ def _judge(
         reason = f"what stands there goes on beyond the {continuing} of the model"
     elif fate == "accepted" and alternative >= 0 and lead < rules.min_margin and known.rigid:
         fate, cause = "ambiguous", "type"
-        reason = f"{examiner.objects[alternative].name} scores only {lead:.3f} less"
+        reason = f"{standards.objects[alternative].name} scores only {lead:.3f} less"
     if fate == "accepted" and margin < rules.min_margin:
         # an instance stands there all the same; the runner-up says how else it may be turned
         reason += f"; heading undecided, another one scores only {margin:.3f} less"
@@ -127,7 +127,7 @@ def _judge(
         model=int(best.model[k]),
         pose=best.pose[k],
         lean=best.lean[k],
-        size_m=examiner.sizes(best.rows(np.array([k])))[0],
+        size_m=standards.sizes(best.rows(np.array([k])))[0],
         parts=parts,
         evidence=evidence,
         odds=float(best.odds[k]),
@@ -196,12 +196,12 @@ def _fate(
 
 
 def _heading_margin(
-    examiner: Examiner, best: Hypotheses, k: int, rivals: Hypotheses
+    standards: Standards, best: Hypotheses, k: int, rivals: Hypotheses
 ) -> tuple[float, F64, float]:
     """How much better the heading is than the best other one of the same model."""
     model = int(best.model[k])
-    known, sampling = examiner.objects[model], examiner.sampling
-    error_m = max(sampling.noise_m, examiner.error_m[model])
+    known, sampling = standards.objects[model], standards.sampling
+    error_m = max(sampling.noise_m, standards.error_m[model])
     turn = np.angle(np.exp(1j * (rivals.yaw - best.yaw[k])))
     moved = rivals.base - best.base[k]
     other = (rivals.model == best.model[k]) & (np.abs(turn) > math.pi / 6)
@@ -216,11 +216,11 @@ def _heading_margin(
 
 
 def _alternative(
-    examiner: Examiner, best: Hypotheses, k: int, rivals: Hypotheses
+    standards: Standards, best: Hypotheses, k: int, rivals: Hypotheses
 ) -> tuple[int, float]:
     """The next best model at that place, and by how much the best one leads."""
     moved = np.hypot(*(rivals.base[:, :2] - best.base[k, :2]).T)
-    narrow_m = examiner.objects[int(best.model[k])].field.narrow_m
+    narrow_m = standards.objects[int(best.model[k])].field.narrow_m
     others = np.flatnonzero((rivals.model != best.model[k]) & (moved < narrow_m))
     if len(others) == 0:
         return -1, float(best.score[k])

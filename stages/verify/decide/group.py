@@ -15,9 +15,9 @@ import numpy as np
 from scipy.special import expit
 
 from spinpipe.schemas.arrays import F64
-from spinpipe.stages.verify.judge.examiner import Examiner
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
 from spinpipe.stages.verify.judge.scoring import PARTS
+from spinpipe.stages.verify.judge.standards import Standards
 
 HIGHER = 0.84
 """Quantile one standard deviation above the median of a normal distribution."""
@@ -49,7 +49,7 @@ wrong candidates with log odds over -3 it is 0.54 and 0.16 in eight labelled cas
 fifteen artificial scenes."""
 
 
-def judged_by_group(examiner: Examiner, table: Hypotheses, instances: Hypotheses) -> Hypotheses:
+def judged_by_group(standards: Standards, table: Hypotheses, instances: Hypotheses) -> Hypotheses:
     """The table with the part ``alike`` filled in, and scored again.
 
     ``alike`` is the likelihood of a residual under the group, exp(-(t - USUAL)^2 / 2), t spreads
@@ -67,14 +67,14 @@ def judged_by_group(examiner: Examiner, table: Hypotheses, instances: Hypotheses
         return table
     (good,) = _quantiles(instances.odds, instances.score, (GOOD,))
     weights = expit(instances.odds - good + BELOW_TOP)
-    middle, high = _quantiles(_worth(examiner, instances), weights, (0.5, HIGHER))
+    middle, high = _quantiles(_worth(standards, instances), weights, (0.5, HIGHER))
     count = weights.sum()
     spread = (count * (high - middle) + KNOWN * KNOWN_SPREAD) / (count + KNOWN)
-    below = (middle - _worth(examiner, table)) / max(spread, LEAST_SPREAD)
+    below = (middle - _worth(standards, table)) / max(spread, LEAST_SPREAD)
     parts = table.parts.copy()
     near = np.exp(-0.5 * np.clip(below - USUAL, 0.0, None) ** 2)
     parts[:, PARTS.index("alike")] = near * _shown(table, instances, weights)
-    lost = examiner.log_odds(parts, table.model) - examiner.log_odds(table.parts, table.model)
+    lost = standards.log_odds(parts, table.model) - standards.log_odds(table.parts, table.model)
     return replace(table, parts=parts, odds=table.odds + lost, alone=table.alone + lost)
 
 
@@ -96,10 +96,10 @@ def _density(values: F64, mean: float, deviation: float) -> F64:
     return np.asarray(np.exp(-0.5 * t * t) / (math.sqrt(2.0 * math.pi) * deviation))
 
 
-def _worth(examiner: Examiner, table: Hypotheses) -> F64:
+def _worth(standards: Standards, table: Hypotheses) -> F64:
     """(S,) logarithms of the residual parts beside those of right instances."""
     residual = PARTS.index("residual")
-    expected = examiner.reference[table.model, residual]
+    expected = standards.reference[table.model, residual]
     return np.log(np.clip(table.parts[:, residual] / expected, 1e-9, None))
 
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from spinpipe.schemas.arrays import F64
-from spinpipe.stages.verify.judge.examiner import Examiner
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
 from spinpipe.stages.verify.judge.resolve import resolve
+from spinpipe.stages.verify.judge.standards import Standards
 from spinpipe.stages.verify.judge.tolerance import greatest_error_m
 
 QUANTILE = 1 / 3
@@ -22,20 +22,20 @@ KNOWN = 5.0
 """Instances of a model that tell as much of its error as those of all models together."""
 
 
-def measured_errors(examiner: Examiner, best: Hypotheses) -> list[float]:
+def measured_errors(standards: Standards, best: Hypotheses) -> list[float]:
     """Error of the surface of each model's instances, standard deviation, metres.
 
     A low weighted quantile of the residuals of distinct candidates, the weights being the
     probabilities that they are instances. What few tell of one model is completed by what all tell.
     """
-    best = best.rows(resolve(best.upright, examiner.sizes(best), best.odds) < 0)
+    best = best.rows(resolve(best.upright, standards.sizes(best), best.odds) < 0)
     rms_m = best.measured("rms_m")
-    most = np.array([greatest_error_m(o.field) for o in examiner.objects])
-    relative = np.sqrt(np.clip(rms_m**2 - examiner.sampling.noise_m**2, 0.0, None))
+    most = np.array([greatest_error_m(o.field) for o in standards.objects])
+    relative = np.sqrt(np.clip(rms_m**2 - standards.sampling.noise_m**2, 0.0, None))
     relative = np.minimum(relative / most[best.model], 1.0)
     pooled = _quantile(np.append(relative, 1.0), np.append(best.score, 1.0))
     errors: list[float] = []
-    for m in range(len(examiner.objects)):
+    for m in range(len(standards.objects)):
         own = best.model == m
         weights = np.append(best.score[own], KNOWN)
         errors.append(float(most[m] * _quantile(np.append(relative[own], pooled), weights)))

@@ -8,14 +8,12 @@ what was found is judged anew.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.schemas.arrays import F64, I64
-from spinpipe.schemas.records import Sampling
 from spinpipe.stages.geometry.frames import inverse, transform
 from spinpipe.stages.geometry.support import (
     BASE_SLACK,
@@ -35,11 +33,9 @@ from spinpipe.stages.verify.judge.hypotheses import (
 )
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
 from spinpipe.stages.verify.judge.kernels import reach
-from spinpipe.stages.verify.judge.reference import right_instance
 from spinpipe.stages.verify.judge.resolve import resolve
-from spinpipe.stages.verify.judge.scoring import PARTS, log_odds, merits, score_parts
-from spinpipe.stages.verify.judge.tolerance import Tolerance, shell_share, tolerance
-from spinpipe.stages.verify.model.known_object import KnownObject
+from spinpipe.stages.verify.judge.scoring import PARTS, score_parts
+from spinpipe.stages.verify.judge.standards import WORTH_A_SECOND_LOOK, Standards
 from spinpipe.stages.verify.scene.cell_grid import CellGrid
 
 STARTS = 3
@@ -47,8 +43,6 @@ STARTS = 3
 the top of a long object."""
 LONG = 1.5
 """Length over width from which a quarter turn brings no model near itself."""
-WORTH_A_SECOND_LOOK = -12.0
-"""Log odds from which a place is tried with all models and headings."""
 LIKELY = 0.0
 """Log odds from which a fit explains other candidates at a first look, and the like of its model
 are not tried: there all compete later. Where it does not fit they may; at -12 one car of 31 on a
@@ -68,28 +62,13 @@ class Examination:
 
 
 class Examiner:
-    """Tries candidates as instances of known objects in a cloud of given sampling and error."""
+    """Tries candidates as instances of known objects."""
 
-    def __init__(
-        self, objects: Sequence[KnownObject], sampling: Sampling, error_m: Sequence[float]
-    ) -> None:
-        self.objects = tuple(objects)
-        self.sampling = sampling
-        self.error_m = tuple(error_m)
+    def __init__(self, standards: Standards) -> None:
+        objects = standards.objects
+        self.standards = standards
+        self.objects, self.sampling, self.limits = objects, standards.sampling, standards.limits
         self.fields = tuple(o.field for o in objects)
-        self.limits: tuple[Tolerance, ...] = tuple(
-            tolerance(o.field, o.stretch, sampling, error)
-            for o, error in zip(objects, error_m, strict=True)
-        )
-        self.shell = tuple(
-            shell_share(o.field, t.gate_m) for o, t in zip(objects, self.limits, strict=True)
-        )
-        right = [
-            right_instance(o.field, t, sampling, error, shell)
-            for o, t, error, shell in zip(objects, self.limits, error_m, self.shell, strict=True)
-        ]
-        self.reference = np.array([r.parts for r in right])
-        self.expected = tuple(r.points for r in right)
         self.stretch = np.array([o.stretch for o in objects])
         self.height_m = np.array([o.field.size[2] for o in objects])
         self.top_level_m = np.array([f.top_level for f in self.fields])
@@ -155,7 +134,7 @@ class Examiner:
         refined on what the nearest one stands on.
         """
         good = table.rows(table.odds >= WORTH_ANOTHER_PLACE)
-        good = good.rows(resolve(good.upright, self.sizes(good), good.odds) < 0)
+        good = good.rows(resolve(good.upright, self.standards.sizes(good), good.odds) < 0)
         nearest = good.candidate.copy()
         for k, m in enumerate(good.model.tolist()):
             on_model, near = self._on_surface(good, k, places)
@@ -226,9 +205,11 @@ class Examiner:
     def _rivals(self, block: Block, found: Hypotheses, threads: int) -> Hypotheses:
         """All models, at all plausible headings, from distinct places that are promising."""
         found = found.rows(found.odds >= WORTH_A_SECOND_LOOK)
-        distinct = resolve(found.upright, self.sizes(found), found.odds, max_overlap=0.5) < 0
+        distinct = (
+            resolve(found.upright, self.standards.sizes(found), found.odds, max_overlap=0.5) < 0
+        )
         found = found.rows(distinct)
-        size = self.sizes(found)
+        size = self.standards.sizes(found)
         candidate, model, pose = [], [], []
         for m, known in enumerate(self.objects):
             wanted = size[:, 2] / known.field.size[2]
@@ -296,7 +277,7 @@ class Examiner:
         self, block: Block, scene: CellGrid, candidate: int, model: I64, start: F64
     ) -> Hypotheses:
         """Hypotheses about one candidate, refined from starts in the frame of its support."""
-        place = block.places[candidate]
+        place, standards = block.places[candidate], self.standards
         pose = np.ones_like(start)
         evidence, parts = None, np.zeros((len(start), len(PARTS)))
         for m in np.unique(model).tolist():
@@ -307,7 +288,9 @@ class Examiner:
             evidence[rows] = found
             above = pose[rows, 2] if block.found[candidate] else np.full(len(rows), np.inf)
             height = self.height_m[m] * pose[rows, 6]
-            parts[rows] = score_parts(found, limits, self.shell[m], self.expected[m], above, height)
+            parts[rows] = score_parts(
+                found, limits, standards.shell[m], standards.right[m].points, above, height
+            )
         if evidence is None:
             return Hypotheses.none()
         return Hypotheses(
@@ -318,22 +301,13 @@ class Examiner:
             lean=np.tile(place.lean, (len(model), 1)),
             parts=parts,
             evidence=evidence,
-            odds=(odds := self.log_odds(parts, model)),
+            odds=(odds := self.standards.log_odds(parts, model)),
             alone=odds,
         )
 
-    def log_odds(self, parts: F64, model: I64) -> F64:
-        """Log odds (S,) of parts (S, len(PARTS)) of hypotheses about models (S,)."""
-        return log_odds(parts, self.reference[model])
-
-    def weakest_part(self, parts: F64, model: int) -> str:
-        """Name of the part (of (len(PARTS),)) that costs a hypothesis about a model most."""
-        lost = merits(parts[None], self.reference[[model]])[0]
-        return PARTS[int(np.argmin(lost))]
-
     def _courses(self, block: Block, table: Hypotheses) -> dict[int, list[Course]]:
         """Of the best hypothesis of each candidate, and of what it may stand for instead."""
-        rows = np.union1d(table.best_rows(), self.chosen_rows(table, WORTH_ANOTHER_PLACE))
+        rows = np.union1d(table.best_rows(), self.standards.chosen_rows(table, WORTH_ANOTHER_PLACE))
         courses: dict[int, list[Course]] = {}
         for k in rows[table.odds[rows] >= WORTH_A_SECOND_LOOK].tolist():
             m, c = int(table.model[k]), int(table.candidate[k])
@@ -343,22 +317,3 @@ class Examiner:
             way = course_of(scene, self.fields[m], self.limits[m], start)
             courses.setdefault(c, []).append(Course(place.to_world(way.poses), way.rms_m))
         return courses
-
-    def chosen_rows(self, table: Hypotheses, least_odds: float) -> I64:
-        """Row of the hypothesis that each candidate stands for, by candidate.
-
-        The best one; where a better one of another candidate already stands there, the next one
-        that is good enough in itself: candidates in a row slide to their neighbours.
-        """
-        chosen = table.best_rows()
-        rows = np.flatnonzero(table.odds >= least_odds)
-        good = table.rows(rows)
-        poses, sizes = good.upright, self.sizes(good)
-        apart = rows[resolve(poses, sizes, good.rank, candidate=good.candidate) < 0]
-        chosen[np.searchsorted(table.candidate[chosen], table.candidate[apart])] = apart
-        return chosen
-
-    def sizes(self, table: Hypotheses) -> F64:
-        """(S, 3) fitted extents of hypotheses."""
-        extents = np.array([o.field.size for o in self.objects])
-        return extents[table.model] * table.stretch

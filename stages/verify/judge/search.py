@@ -21,6 +21,7 @@ from spinpipe.stages.verify.judge.examiner import (
 )
 from spinpipe.stages.verify.judge.hypotheses import Course
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
+from spinpipe.stages.verify.judge.standards import Standards
 from spinpipe.stages.verify.judge.tolerance import greatest_error_m
 from spinpipe.stages.verify.model.known_object import KnownObject
 
@@ -39,7 +40,7 @@ GLANCE = 3
 class Found:
     """All hypotheses about all candidates, and by which tolerances they were judged."""
 
-    examiner: Examiner
+    standards: Standards
     table: Hypotheses
     courses: dict[int, list[Course]]
 
@@ -89,7 +90,8 @@ class Search:
         """
         most = [greatest_error_m(o.field) for o in self.objects]
         glanced = [replace(o, field=o.field.glanced(GLANCE)) for o in self.objects]
-        examiner = Examiner(glanced, self.sampling, most)
+        standards = Standards.of(glanced, self.sampling, most)
+        examiner = Examiner(standards)
         rows_of_blocks = list(blocks(self.places, BLOCK_REACHES * examiner.reach_m))
         looks: list[Hypotheses] = []
         for rows, seen in zip(
@@ -100,18 +102,18 @@ class Search:
             looks.append(replace(seen, candidate=rows[seen.candidate]))
             advance(len(rows))
         first = Hypotheses.joined(looks)
-        first = first.rows(examiner.chosen_rows(first, WORTH_ANOTHER_PLACE))
-        errors = measured_errors(examiner, first) if error_m is None else [error_m] * len(most)
-        examiner = Examiner(self.objects, self.sampling, errors)
+        first = first.rows(standards.chosen_rows(first, WORTH_ANOTHER_PLACE))
+        errors = measured_errors(standards, first) if error_m is None else [error_m] * len(most)
+        standards = Standards.of(self.objects, self.sampling, errors)
         jobs = self._by_block(first, rows_of_blocks)
         tables: list[Hypotheses] = []
         courses: dict[int, list[Course]] = {}
-        examined = map_blocks(partial(_examine, self._task(examiner)), jobs)
+        examined = map_blocks(partial(_examine, self._task(Examiner(standards))), jobs)
         for (rows, _), seen in zip(jobs, examined, strict=True):
             tables.append(replace(seen.table, candidate=rows[seen.table.candidate]))
             courses |= {int(rows[k]): course for k, course in seen.courses.items()}
             advance(len(rows))
-        return Found(examiner, Hypotheses.joined(tables), courses)
+        return Found(standards, Hypotheses.joined(tables), courses)
 
     def _by_block(
         self, best: Hypotheses, rows_of_blocks: list[I64]

@@ -66,4 +66,4 @@ def found_in(cloud, objects, places, sampling=None, threads=1, error_m=None, pro
 def verdicts_on(cloud, objects, places, *, sampling=None, threads=1, proposed=None, **rules):
     """Verdicts on candidates at places."""
     found = found_in(cloud, objects, places, sampling, threads, proposed=proposed)
-    return decide(found.examiner, found.table, np.array(places, float), Rules(**rules))
+    return decide(found.standards, found.table, np.array(places, float), Rules(**rules))

@@ -70,9 +70,9 @@ def test_a_right_instance_scores_high_in_any_cloud():
     for noise in (0.0, 0.05):
         cloud = cloud_of([CABINET], 5, 2000, noise)
         found = found_in(cloud, [known_object("cabinet", CABINET)], places)
-        reference = found.examiner.reference
+        reference = found.standards.reference
         assert log_odds(reference, reference)[0] > 3
-        assert decide(found.examiner, found.table, places, Rules())[0].score > 0.9
+        assert decide(found.standards, found.table, places, Rules())[0].score > 0.9
 
 
 def test_what_falls_past_its_base_stands_on_nothing():
