@@ -41,8 +41,14 @@ from spinpipe.stages.verify import judge
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
-hypothesis.settings.register_profile("spinpipe", deadline=None, print_blob=True, max_examples=50)
-hypothesis.settings.load_profile("spinpipe")  # no deadline: machines are busy, kernels compile
+hypothesis.settings.register_profile(
+    "spinpipe",
+    deadline=None,  # machines are busy, kernels compile
+    suppress_health_check=[hypothesis.HealthCheck.too_slow],
+    print_blob=True,
+    max_examples=50,
+)
+hypothesis.settings.load_profile("spinpipe")
 
 
 YARD_CONFIG = """\
@@ -230,9 +236,9 @@ def finished_yard(yard: Yard, shared_by_workers: SharedByWorkers) -> YardRun:
         )
         config.write_text(text)
         run = ("run", config, "--rerun", "off", "-o", folder / "run")
-        with compiled_aside() as registration:
+        with compiled_aside() as compile_rest:
             assert run_command_line(*run, "--until", "cluster").code == 0
-            registration()
+            compile_rest()
             outcome = run_command_line(*run)
             assert outcome.code == 0, outcome.err
 
@@ -240,18 +246,25 @@ def finished_yard(yard: Yard, shared_by_workers: SharedByWorkers) -> YardRun:
 
 
 @contextlib.contextmanager
-def compiled_aside() -> Generator[Callable[[], object]]:
-    """Half of the kernels are compiled by another process; what is given waits for its first part.
+def compiled_aside() -> Generator[Callable[[], None]]:
+    """Half of the kernels are compiled by another process; what is given compiles the rest.
 
     Cold kernels take a minute; where there are any nothing is done.
     """
     if any(Path(judge.__file__).parent.rglob("*.nbc")):
         yield lambda: None
         return
-    command = [sys.executable, Path(__file__).with_name("compile_kernels.py")]
+    from tests import compile_kernels
+
+    command = [sys.executable, compile_kernels.__file__]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None
-        yield process.stdout.readline
+
+        def rest() -> None:
+            compile_kernels.coarse_search()
+            assert process.stdout is not None
+            process.stdout.readline()
+
+        yield rest
 
 
 @pytest.fixture
