@@ -10,13 +10,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from spinpipe.pipeline.evaluation.truth import TruthObject
-from spinpipe.schemas.arrays import F64
+from spinpipe.schemas.arrays import F64, Mask
 from spinpipe.schemas.records import Detection
 
 Rule = Literal["name", "any"]
@@ -169,7 +168,7 @@ def precision_recall(
     return Curve(score, recall, precision, area)
 
 
-def _matched(allowed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _matched(allowed: Mask) -> Mask:
     """Columns (N,) that, added one by one, each make the largest matching with rows larger.
 
     What is matched once stays matched, so a detection is right or wrong for good when it is added.

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.schemas.arrays import F64, I64
+from spinpipe.schemas.arrays import F64, I32, I64, Mask
 from spinpipe.schemas.records import Sampling
 from spinpipe.stages.compiled import inner, kept
 from spinpipe.stages.geometry.columns import column_order
@@ -47,7 +47,7 @@ class Surfaces(NamedTuple):
 
     start: I64
     height: F64
-    seen: NDArray[np.int32]
+    seen: I32
     rows: int
     columns: int
     corner: F64
@@ -109,7 +109,7 @@ def find_surfaces(xyz: F64, sampling: Sampling, reach_m: float, gap_m: float) ->
     return Surfaces(start, height, seen, rows, columns, corner, side_m, reach)
 
 
-def _box_sums(values: NDArray[np.int32], reach: int) -> NDArray[np.int32]:
+def _box_sums(values: I32, reach: int) -> I32:
     """Sums over the square of ``2 reach + 1`` cells around each cell."""
     total = np.pad(values.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
     rows, columns = (np.arange(n) for n in values.shape)
@@ -120,7 +120,7 @@ def _box_sums(values: NDArray[np.int32], reach: int) -> NDArray[np.int32]:
     return sums.astype(np.int32, order="C")  # in any order else kernels are compiled for each
 
 
-def has_support(points: NDArray[np.floating], surfaces: Surfaces, bands: F64) -> NDArray[np.bool_]:
+def has_support(points: NDArray[np.floating], surfaces: Surfaces, bands: F64) -> Mask:
     """Whether a surface lies at one of the depths (M, 2) below each of (N, 3) points, metres."""
     eligible = np.zeros(len(points), np.bool_)
     _has_support(np.asarray(points, np.float64), surfaces, bands, eligible)

@@ -7,11 +7,11 @@ from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 from scipy.spatial.transform import Rotation
 
 from spinpipe.schemas import CAMERAS, CLOUD, PLANE, SAMPLING, SCENE, TILES, TRAJECTORY, UPRIGHT
+from spinpipe.schemas.arrays import F32, F64, Mask
 from spinpipe.schemas.records import Evidence, Level, Plane, Sampling, Trajectory, Upright
 from spinpipe.stages.geometry.sampling import measure_sampling
 from spinpipe.stages.geometry.skin import blur_of
@@ -32,9 +32,6 @@ from spinpipe.stages.ground.upright import (
 )
 from spinpipe.stages.ground.vertical import Vertical, Witnesses
 from spinpipe.stages.stage import Context, Section, StageError
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 
 SMALL = 0.02
 """A ground that holds a smaller share of the surface is perhaps none."""
@@ -253,7 +250,7 @@ def to_record(
 
 
 def _levels(
-    surface: Surface, members: NDArray[np.bool_], up: F64, distance: float
+    surface: Surface, members: Mask, up: F64, distance: float
 ) -> tuple[float, tuple[Level, ...]]:
     """Height of the lowest piece of the ground that is not small, and of all such above it.
 

@@ -7,15 +7,11 @@ model that fits into a part of a larger body does not end at all: a surface goes
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from spinpipe.schemas.arrays import F64, I64, Mask
 from spinpipe.stages.geometry.frames import turns
 from spinpipe.stages.verify.evidence.outline import GOES_ON, SIDES
-
-F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 BEYOND = np.array([0.2, 0.5, 0.9])
 """Where outside a side a neighbour is looked for, in half extents of the narrow side or in
@@ -35,7 +31,7 @@ COMMON = 0.15
 """Share of either body's interior that neighbours may have in common; rivals have more."""
 
 
-def explained_sides(poses: F64, sizes: F64, near_poses: F64, near_sizes: F64) -> Flags:
+def explained_sides(poses: F64, sizes: F64, near_poses: F64, near_sizes: F64) -> Mask:
     """Whether an instance stands beyond each side of each fit: (S, 4).
 
     Parameters
@@ -58,7 +54,7 @@ def explained_sides(poses: F64, sizes: F64, near_poses: F64, near_sizes: F64) ->
     return np.asarray(2 * covered.any(axis=2).sum(axis=2) >= len(ALONG))
 
 
-def fits_farther_on(pose: F64, size: F64, others: F64) -> Flags:
+def fits_farther_on(pose: F64, size: F64, others: F64) -> Mask:
     """Whether the model fits beyond each side of a fit, in part where it already fits: (4,).
 
     Parameters
@@ -72,7 +68,7 @@ def fits_farther_on(pose: F64, size: F64, others: F64) -> Flags:
     return np.asarray((shared[:, None] & (onward > FARTHER)).any(axis=0))
 
 
-def first_continuing(levels: F64, explained: Flags, farther: Flags) -> list[str]:
+def first_continuing(levels: F64, explained: Mask, farther: Mask) -> list[str]:
     """The first side of each fit where a body goes on that no other instance explains, or "".
 
     Parameters
@@ -119,7 +115,7 @@ def _interior(poses: F64, sizes: F64) -> F64:
     return np.einsum("sabj,skj->sabk", local, turns(poses[:, 3])) + poses[:, None, None, :2]
 
 
-def _within(places: F64, poses: F64, sizes: F64) -> Flags:
+def _within(places: F64, poses: F64, sizes: F64) -> Mask:
     """Whether places (Q, ..., 2) lie in the footprints of Q bodies, each in its own."""
     wide = (len(poses), *(1,) * (places.ndim - 2))
     x, y, yaw, length, width = (

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import F64
 from spinpipe.stages.verify.decide.continuation import (
     explained_sides,
     first_continuing,
@@ -24,9 +24,6 @@ from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
 from spinpipe.stages.verify.judge.scoring import PARTS
 from spinpipe.stages.verify.judge.standards import Standards
 from spinpipe.stages.verify.model.known_object import KnownObject
-
-F64 = NDArray[np.float64]
-
 
 AS_GOOD = 3.0
 """Log odds by which a fit farther on may be worse, one in twenty: chosen."""

@@ -10,17 +10,15 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logit
 
+from spinpipe.schemas.arrays import F64, I64
 from spinpipe.stages.verify.decide.continuation import explained_sides
 from spinpipe.stages.verify.evidence.outline import SIDES, TOUCHED
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
 from spinpipe.stages.verify.judge.resolve import resolve
 from spinpipe.stages.verify.judge.scoring import PARTS
 from spinpipe.stages.verify.judge.standards import WORTH_A_SECOND_LOOK, Standards
-
-F64 = NDArray[np.float64]
 
 ROUNDS = 4
 """Rows are explained from their ends; few are longer than twice as many."""
@@ -33,7 +31,7 @@ class Standing(NamedTuple):
     sizes: F64
     best: Hypotheses
     """What each candidate stands for, see ``Standards.chosen_rows``."""
-    displaced_by: NDArray[np.int64]
+    displaced_by: I64
     """(C,) of these, see ``resolve``."""
 
 

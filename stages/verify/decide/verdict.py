@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
+from spinpipe.schemas.arrays import F64
 
-F64 = NDArray[np.float64]
 Fate = Literal["accepted", "ambiguous", "duplicate", "rejected"]
 Cause = Literal[
     "shown", "score", "observed", "sheltered", "continues", "type", "duplicate", "nothing"

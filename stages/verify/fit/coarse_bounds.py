@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import U32
 from spinpipe.stages.compiled import inner
 from spinpipe.stages.verify.model.field import ModelField
 
@@ -38,8 +38,8 @@ reordered = njit(
 class Columns(NamedTuple):
     """Points at all offsets along one axis: (offsets, N) parts of a voxel's number."""
 
-    body: NDArray[np.uint32]
-    ground: NDArray[np.uint32]
+    body: U32
+    ground: U32
 
 
 @inner

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import F64
 from spinpipe.stages.compiled import inner
 from spinpipe.stages.verify.model.lookup import inside_depth, nearest_edge, nearest_sample
 from spinpipe.stages.verify.model.pose import POSE, pose_of, to_object
@@ -40,8 +40,8 @@ class Base(NamedTuple):
 class Residuals(NamedTuple):
     """Room for weighted residuals: (N,) weights, (N, 8) rows of the Jacobian and the residual."""
 
-    weights: NDArray[np.float64]
-    rows: NDArray[np.float64]
+    weights: F64
+    rows: F64
 
 
 @njit(nogil=True, error_model="numpy")

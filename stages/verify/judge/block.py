@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.schemas.arrays import F64, I64
+from spinpipe.schemas.arrays import F64, I64, Mask
 from spinpipe.schemas.records import Sampling
 from spinpipe.stages.geometry.support import find_support, find_surfaces
 from spinpipe.stages.verify.judge.hypotheses import Place
@@ -21,7 +21,7 @@ class Block:
 
     grid: CellGrid
     places: tuple[Place, ...]
-    found: NDArray[np.bool_]
+    found: Mask
     """(C,) whether there is a surface for it to stand on."""
 
     @classmethod
@@ -56,7 +56,7 @@ class Block:
         return cls(grid_of(xyz, sampling), stands, support.found > 0)
 
 
-def first_around(places: F64, reach_m: F64) -> NDArray[np.bool_]:
+def first_around(places: F64, reach_m: F64) -> Mask:
     """Whether each place (N, 3) has none before it within its reach (N,)."""
     apart = np.linalg.norm(places[:, None, :2] - places[None, :, :2], axis=2)
     return ~np.tril(apart < reach_m[:, None], -1).any(axis=1)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from spinpipe.schemas.arrays import F64, I64
+from spinpipe.schemas.arrays import F64, I64, Mask
 from spinpipe.stages.geometry.frames import inverse, transform
 from spinpipe.stages.geometry.support import (
     BASE_SLACK,
@@ -159,7 +159,7 @@ class Examiner:
         start = np.repeat(pose[:1], len(like), axis=0)
         return Hypotheses.joined([seen, self._judged(block, scene, c, like, start)])
 
-    def _explains(self, fit: Hypotheses, places: F64, proposed: I64) -> NDArray[np.bool_]:
+    def _explains(self, fit: Hypotheses, places: F64, proposed: I64) -> Mask:
         """Whether candidates lie on the surface of a fit of their model, well inside a long top."""
         m = int(fit.model[0])
         field, gate_m = self.fields[m], self.limits[m].gate_m
@@ -167,7 +167,7 @@ class Examiner:
         inside = (np.abs(on_model[:, :2]) < field.size[:2] / 2 - gate_m).all(axis=1)
         return (proposed == m) & inside & near & has_long_top(field)
 
-    def _on_surface(self, table: Hypotheses, k: int, places: F64) -> tuple[F64, NDArray[np.bool_]]:
+    def _on_surface(self, table: Hypotheses, k: int, places: F64) -> tuple[F64, Mask]:
         """Places (C, 3) in the object frame of a fit, and whether each is on its surface."""
         m = int(table.model[k])
         on_model = transform(inverse(T_world_object(table.pose[k], table.lean[k])), places)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from spinpipe.schemas.arrays import F64, I64
+from spinpipe.schemas.arrays import F64, I64, Mask
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
 from spinpipe.stages.verify.judge.scoring import PARTS
 from spinpipe.stages.verify.model.pose import POSE
@@ -69,7 +69,7 @@ class Hypotheses:
         """(S,) by what the better of two is told: what neighbours explain counts half."""
         return (self.odds + self.alone) / 2
 
-    def rows(self, chosen: NDArray[np.integer] | NDArray[np.bool_]) -> Hypotheses:
+    def rows(self, chosen: NDArray[np.integer] | Mask) -> Hypotheses:
         """Some of the hypotheses, by index or by mask."""
         return Hypotheses(*(getattr(self, f.name)[chosen] for f in fields(self)))
 

@@ -7,12 +7,10 @@ give is taken off, so 0 means "no better than points strewn at random".
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spinpipe.schemas.arrays import F64
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
 from spinpipe.stages.verify.judge.tolerance import Tolerance
-
-F64 = NDArray[np.float64]
 
 PARTS = ("model", "sides", "scene", "residual", "outline", "stands", "alike")
 """model: visible surface of the model that the scene shows, against what the scene contradicts.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from spinpipe.schemas.arrays import F64
+from spinpipe.schemas.arrays import F32, F64, I32, Mask
 from spinpipe.stages.geometry.model_surface import top_of
 from spinpipe.stages.verify.model.sight import (
     hull_edges,
@@ -74,11 +74,11 @@ class ModelField(NamedTuple):
     origin: F64
     voxel_m: float
     resolution_m: float
-    nearest: NDArray[np.int32]
-    clearance: NDArray[np.float32]
-    footprint: NDArray[np.bool_]
+    nearest: I32
+    clearance: F32
+    footprint: Mask
     edges: F64
-    depth_edge: NDArray[np.int32]
+    depth_edge: I32
     depths: F64
     outline: F64
     outline_normals: F64
@@ -245,11 +245,11 @@ def _depths(edge: F64, origin: F64, voxel: float) -> F64:
 
 
 def _clearance(
-    distance: NDArray[np.float64],
-    size: NDArray[np.float64],
-    origin: NDArray[np.float64],
+    distance: F64,
+    size: F64,
+    origin: F64,
     voxel: float,
-) -> NDArray[np.float32]:
+) -> F32:
     """See ``ModelField``, given the (nx, ny, nz) distances of the voxels' centres."""
     rounding = 1e-3 * voxel
     least = np.clip(distance - math.sqrt(3) / 2 * voxel - rounding, 0.0, None)
@@ -264,7 +264,7 @@ def _clearance(
     return np.where(within, -(least**2), least**2).astype(np.float32)
 
 
-def _spread_evenly(points: NDArray[np.float64], count: int) -> NDArray[np.intp]:
+def _spread_evenly(points: F64, count: int) -> NDArray[np.intp]:
     """One point per cell of a grid so fine that about ``count`` cells are occupied."""
     if len(points) <= count:
         return np.arange(len(points))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
+
+from spinpipe.schemas.arrays import F64, Mask
 
 # Directions from which the model is looked at, to tell its body from the air around it: straight
 # down, then rings of eight. Lower rays would look underneath the model.
@@ -13,8 +14,8 @@ _AZIMUTHS = 8
 
 
 def open_air(
-    surface: NDArray[np.bool_],
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    surface: Mask,
+) -> tuple[Mask, Mask]:
     """Voxels that a ray from above reaches, and those that a steep one (60 degrees up) does."""
     nx, ny, nz = surface.shape
     seen = np.zeros_like(surface)
@@ -46,11 +47,11 @@ def open_air(
 
 
 def reached(
-    points: NDArray[np.float64],
-    grid: NDArray[np.bool_],
-    origin: NDArray[np.float64],
+    points: F64,
+    grid: Mask,
+    origin: F64,
     voxel: float,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Whether the voxels of points are set in a grid."""
     cell = np.floor((points - origin) / voxel).astype(int)
     cell = np.clip(cell, 0, np.array(grid.shape) - 1)
@@ -58,12 +59,12 @@ def reached(
 
 
 def turned_outward(
-    samples: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    air: NDArray[np.bool_],
-    origin: NDArray[np.float64],
+    samples: F64,
+    normals: F64,
+    air: Mask,
+    origin: F64,
     voxel: float,
-) -> NDArray[np.float64]:
+) -> F64:
     """Normals turned to the side where the air is, if it is on one side only."""
     ahead = reached(samples + 2 * voxel * normals, air, origin, voxel)
     behind = reached(samples - 2 * voxel * normals, air, origin, voxel)
@@ -71,7 +72,7 @@ def turned_outward(
     return np.where((lit & behind & ~ahead)[:, None], -normals, normals)
 
 
-def hull_edges(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def hull_edges(points: F64) -> F64:
     """Edges of the convex hull of (N, 2) points: middle and outward unit normal of each."""
     corners = points[ConvexHull(points).vertices]  # counter-clockwise
     ends = np.roll(corners, -1, axis=0)
@@ -81,9 +82,7 @@ def hull_edges(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([(corners + ends) / 2, normal], axis=1)
 
 
-def outline_points(
-    points: NDArray[np.float64], spacing: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def outline_points(points: F64, spacing: float) -> tuple[F64, F64]:
     """Points every ``spacing`` along the convex hull of (N, 2) points, and outward normals."""
     corners = points[ConvexHull(points).vertices]  # counter-clockwise
     places, normals = [], []
