@@ -199,12 +199,13 @@ def scene_facts(path: Path, console: Console) -> Facts:
 
 def model_facts(path: Path) -> Facts:
     """What the stage model finds out about a file."""
-    config = ModelConfig(name="model", path=path, samples=_SAMPLES)
+    name = re.sub(r"[^A-Za-z0-9_.-]", "_", path.stem)
+    config = ModelConfig(name=name, path=path, samples=_SAMPLES)
     try:
         file = read_model(config)
         model = object_model(config, file, np.random.default_rng(0))
     except StageError as error:
-        raise StageError(str(error).removeprefix("[[model]] 'model': ")) from None
+        raise StageError(str(error).removeprefix(f"[[model]] '{name}': ")) from None
     return {
         "path": str(path),
         "role": "model",

@@ -12,7 +12,15 @@ from scipy.spatial.transform import Rotation
 
 from spinpipe.schemas import CAMERAS, CLOUD, PLANE, SAMPLING, SCENE, TILES, TRAJECTORY, UPRIGHT
 from spinpipe.schemas.arrays import F32, F64, Mask
-from spinpipe.schemas.records import Evidence, Level, Plane, Sampling, Trajectory, Upright
+from spinpipe.schemas.records import (
+    Evidence,
+    Level,
+    Plane,
+    Sampling,
+    SceneFrame,
+    Trajectory,
+    Upright,
+)
 from spinpipe.stages.geometry.sampling import measure_sampling
 from spinpipe.stages.geometry.skin import blur_of
 from spinpipe.stages.geometry.world_cloud import WorldCloud
@@ -35,6 +43,8 @@ from spinpipe.stages.stage import Context, Section, StageError
 
 SMALL = 0.02
 """A ground that holds a smaller share of the surface is perhaps none."""
+_COARSEST = 4.0
+"""Steps of the coordinates, in spacings, from which the largest planes are those of the steps."""
 SAMPLING_POINTS = 2_000_000
 """Points that density and noise are measured from."""
 
@@ -79,6 +89,7 @@ class Ground:
         elif declared:
             plane = _along(scene, np.array(declared, np.float64), "file")
         else:
+            _require_fine(ctx.read_one(SCENE))
             plane = _estimate(ctx, scene)
         up = np.array(plane.normal)
         ctx.write(PLANE, plane)
@@ -152,6 +163,16 @@ class _Scene(NamedTuple):
         return cls(solid_surface(points, normals, sample.voxel), surfaces)
 
 
+def _require_fine(scene: SceneFrame) -> None:
+    """Stop where the steps of the coordinates make planes of their own, which hold more points."""
+    if scene.step_m > _COARSEST * scene.spacing_m > 0:
+        raise StageError(
+            "ground: cannot tell which way is up: coordinates come in steps of "
+            f"{scene.step_m:.2g} m, {scene.step_m / scene.spacing_m:.0f} times as far as points "
+            "are apart; export them as double, with an offset, or set ground.up = [x, y, z]"
+        )
+
+
 def _estimate(ctx: Context[Ground.Config], scene: _Scene) -> Plane:
     """Choose the vertical and the end of it that the evidence speaks for."""
     cameras, vertical = None, None
@@ -187,7 +208,7 @@ def _estimate(ctx: Context[Ground.Config], scene: _Scene) -> Plane:
         scene,
         best.up,
         best.terrain,
-        "cameras" if by_cameras > by_points else "points",
+        "cameras" if cameras is not None and by_cameras > by_points else "points",
         {**best.evidence, "margin": best.score / rival.score},
     )
 

@@ -22,6 +22,7 @@ from spinpipe.stages.ingest.readers.scene_source import SceneSource, held
 from spinpipe.stages.ingest.sanity import (
     believable,
     coarse_steps,
+    on_the_ground,
     refuse_degrees,
     require_on_earth,
     scale_note,
@@ -92,6 +93,7 @@ class Ingest:
         progress = ctx.progress("points read", source.points)
         found = survey(source, str(config.scene), _chunk_points(ctx.memory_bytes), progress)
         said, unlikely = believable(source.about.coordinates, found.low, found.high)
+        said, stretched = on_the_ground(said, found.low, found.high)
         photos = config.photos or source.about.photos
         stated: float | Vector | None = config.scale
         if config.scale_from.given:
@@ -111,6 +113,7 @@ class Ingest:
             *left_out(found),
             unlikely,
             scale_note(stated, said),
+            stretched if stated is None else "",
             f"odd: {steps}" if steps else "",
         ):
             if note:

@@ -14,7 +14,10 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from spinpipe.schemas.arrays import F64, I64
+from spinpipe.schemas.records import Vector
+from spinpipe.stages.geometry.hashing import GOLDEN
 from spinpipe.stages.geometry.shapes import face_areas_and_normals, sample_surface
+from spinpipe.stages.ingest.point_blocks import hashed
 from spinpipe.stages.ingest.readers.coordinates import Coordinates
 from spinpipe.stages.ingest.readers.file_kind import file_kind
 from spinpipe.stages.ingest.readers.mesh import MESHES, collada_asset, read_mesh
@@ -22,6 +25,8 @@ from spinpipe.stages.ingest.readers.open_scene import open_scene
 from spinpipe.stages.stage import StageError
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
+Direction = Axis | Vector
+"""An axis of the file, or any direction in its coordinates."""
 
 _CHUNK = 1 << 18
 _SAMPLES = 2000
@@ -52,7 +57,7 @@ class ModelFile:
     """(V, 3) vertices, or points of a cloud."""
     faces: I64 | None
     """(F, 3) rows of them; None for a cloud."""
-    up: Axis
+    up: Direction
     forward: Axis
     reason: str
     """Why that axis is up, to stand behind its name."""
@@ -73,18 +78,15 @@ class ModelFile:
         if self.faces is None:
             return False
         # Files repeat a vertex for every face that has other normals there
-        order = np.lexsort(self.corners.T)
-        other = (np.diff(self.corners[order], axis=0) != 0).any(axis=1)
-        place = np.empty(len(order), np.int64)
-        place[order] = np.cumsum(np.append(0, other))
+        place = np.unique(hashed(self.corners, GOLDEN), return_inverse=True)[1]
         faces = place[self.faces]
         edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]))
         edges = edges[edges[:, 0] != edges[:, 1]]
-        keys = edges[:, 0] * len(order) + edges[:, 1]
+        keys = edges[:, 0] * len(place) + edges[:, 1]
         return bool((np.unique(keys, return_counts=True)[1] == 2).all())
 
 
-def open_model(path: Path, up: Axis | None, forward: Axis | None) -> ModelFile:
+def open_model(path: Path, up: Direction | None, forward: Axis | None) -> ModelFile:
     """Read a model and settle its axes.
 
     Parameters
@@ -125,6 +127,7 @@ def open_model(path: Path, up: Axis | None, forward: Axis | None) -> ModelFile:
             f"{path}: holds coordinates that are not finite or over {_FARTHEST:g}; repair the model"
         )
     doubt = ""
+    chosen: Direction
     if up is not None:
         chosen, why = up, "as stated"
     elif said is not None:
@@ -139,8 +142,17 @@ def open_model(path: Path, up: Axis | None, forward: Axis | None) -> ModelFile:
         if forward is not None and forward[-1] == chosen:
             chosen, why, doubt = ("y" if forward[-1] == "z" else "z"), "forward is stated", ""
     # many exporters leave the front of glTF at +x
-    front = forward or _front(corners, chosen, "z" if kind in ("glb", "gltf") and not up else "x")
+    usual: Axis = "z" if kind in ("glb", "gltf") and not up else "x"
+    front = forward or _front(corners, nearest_axis(chosen), usual)
     return ModelFile(name, corners, faces, chosen, front, why, doubt, told)
+
+
+def nearest_axis(direction: Direction) -> Axis:
+    """The axis of the file that is least off."""
+    if isinstance(direction, str):
+        return direction
+    axes: tuple[Axis, ...] = ("x", "y", "z")
+    return axes[int(np.argmax(np.abs(direction)))]
 
 
 def _front(corners: F64, up: Axis, usual: Axis = "x") -> Axis:
@@ -154,10 +166,10 @@ def _front(corners: F64, up: Axis, usual: Axis = "x") -> Axis:
 
 
 def _plausible_up(corners: F64, faces: I64 | None) -> tuple[Axis, str, str]:
-    """The axis, y or z, along which the model stands more plausibly; why; and what is doubtful.
+    """The axis along which the model stands most plausibly; why; and what is doubtful.
 
     Things that stand are alike left and right, not top and bottom; and modellers put the base of
-    a thing at zero.
+    a thing at zero. Hardly any file has x up: the base must be at zero along x and no other axis.
     """
     size = np.ptp(corners, axis=0)
     if size[2] <= _THIN * size.max():
@@ -171,13 +183,23 @@ def _plausible_up(corners: F64, faces: I64 | None) -> tuple[Axis, str, str]:
     reach = _MIRROR_REACH * float(np.linalg.norm(size))
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
     plausible: dict[Axis, float] = {}
-    axes: tuple[tuple[int, Axis], ...] = ((1, "y"), (2, "z"))
+    based: dict[Axis, bool] = {}
+    axes: tuple[tuple[int, Axis], ...] = ((0, "x"), (1, "y"), (2, "z"))
     for axis, name in axes:
         mirrored = points.copy()
         mirrored[:, axis] = 2 * middle[axis] - mirrored[:, axis]
         unlike = float(np.mean(tree.query(mirrored, distance_upper_bound=reach)[0] > reach))
-        based = abs(float(corners[:, axis].min())) <= _BASE * size[axis]
-        plausible[name] = unlike + _BASE_WEIGHT * based
+        based[name] = abs(float(corners[:, axis].min())) <= _BASE * size[axis]
+        plausible[name] = unlike + _BASE_WEIGHT * based[name]
+    other: Axis = "y" if plausible["y"] > plausible["z"] else "z"
+    x_alone = based["x"] and not (based["y"] or based["z"])
+    if x_alone and plausible["x"] - plausible[other] > _CLEARLY:
+        return (
+            "x",
+            f"it stands more plausibly than along {other}",
+            f"x is taken for up, it stands more plausibly than {other}; state up = 'x' or up = "
+            f"'{other}'",
+        )
     more = plausible["y"] - plausible["z"]
     if more > _CLEARLY:
         return (

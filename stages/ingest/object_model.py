@@ -14,12 +14,14 @@ from spinpipe.stages.geometry.columns import extremes
 from spinpipe.stages.geometry.frames import transform
 from spinpipe.stages.geometry.seen_from_above import sample_seen, seen_from_above, seen_from_around
 from spinpipe.stages.geometry.shapes import Mesh, face_areas_and_normals
-from spinpipe.stages.ingest.model_file import Axis, ModelFile, open_model
+from spinpipe.stages.ingest.model_file import Axis, Direction, ModelFile, open_model
 from spinpipe.stages.ingest.vehicles import VEHICLES, vehicle_mesh
 from spinpipe.stages.stage import InputPath, Scale, Section, StageError
 
 _SIZES_M = (1e-4, 1e6)
 """Longest side of a model: sizes that photos resolve, and that float32 holds to a decimetre."""
+_NOT_PARALLEL = 0.01
+"""Sine of the least angle between up and forward."""
 _LEAST_STRETCH = 0.001
 """Millimetres of a car."""
 
@@ -42,10 +44,10 @@ class ModelConfig(Section):
     scale: Scale | None = Field(
         default=None, description="metres per unit of the file; none: as the file says, else 1"
     )
-    up: Axis | None = Field(
+    up: Direction | None = Field(
         default=None,
-        description="axis of the file that points up; none: y for glTF, else z or y, whichever "
-        "stands more plausibly",
+        description="axis of the file that points up, or [x, y, z] in it; none: y for glTF, else "
+        "the one along which the model stands most plausibly",
     )
     forward: Axis | None = Field(
         default=None,
@@ -81,7 +83,12 @@ class ModelConfig(Section):
 
     @model_validator(mode="after")
     def _not_parallel(self) -> ModelConfig:
-        if self.up and self.forward and self.up[-1] == self.forward[-1]:
+        if isinstance(self.up, tuple) and not any(self.up):
+            raise ValueError("up must not be [0, 0, 0]")
+        if not self.up or not self.forward:
+            return self
+        up, forward = _direction(self.up), _direction(self.forward)
+        if not np.linalg.norm(np.cross(up, forward)) > _NOT_PARALLEL:
             raise ValueError(
                 f"up = '{self.up}' and forward = '{self.forward}' lie along one axis; "
                 "set forward to another"
@@ -153,6 +160,8 @@ def read_model(config: ModelConfig) -> ModelFile:
 def _object_from_model(file: ModelFile, scale: float) -> F64:
     """Similarity T_object_model: metres, upright, base centre at the origin."""
     up, forward = _direction(file.up), _direction(file.forward)
+    forward = forward - up * (up @ forward)
+    forward /= np.linalg.norm(forward)
     T = np.eye(4)
     T[:3, :3] = scale * np.stack([forward, np.cross(up, forward), up])
     turned = transform(T, file.corners)
@@ -161,7 +170,11 @@ def _object_from_model(file: ModelFile, scale: float) -> F64:
     return T
 
 
-def _direction(axis: Axis) -> F64:
+def _direction(axis: Direction) -> F64:
+    """(3,) unit vector."""
+    if isinstance(axis, tuple):
+        largest = np.array(axis) / np.abs(axis).max()
+        return largest / np.linalg.norm(largest)
     direction = np.zeros(3)
     direction["xyz".index(axis[-1])] = -1.0 if axis.startswith("-") else 1.0
     return direction

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,9 @@ import numpy as np
 from spinpipe.schemas.arrays import F64
 from spinpipe.schemas.records import ObjectModel, SceneFrame, Vector
 from spinpipe.stages.ingest.model_file import ModelFile
-from spinpipe.stages.ingest.readers.coordinates import Coordinates
+from spinpipe.stages.ingest.readers.coordinates import Coordinates, place_of
 from spinpipe.stages.ingest.readers.scene_source import SceneSource
-from spinpipe.stages.ingest.survey import Survey
+from spinpipe.stages.ingest.survey import Survey, kept_box, within
 from spinpipe.stages.stage import StageError
 
 UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254, "feet": 0.3048}
@@ -37,8 +38,12 @@ _SHEET_HEIGHT = 0.05
 """Lowest part of a model, in its height, in which a sheet of ground would lie."""
 _SHEET_WIDER = 1.6
 """A sheet reaches this much farther than what stands on it."""
+_STRETCHED = 0.01
+"""UTM and other grids for surveyors stay far below."""
 _SCALES, _WIDEST_M = (1e-9, 1e9), 1e8
 """As the config allows, and several times as wide as the Earth."""
+_NO_LENGTH = 1e18
+"""Nanometres to the Sun stay below."""
 _LON_LAT = (180.0, 90.0)
 _DEGREES_ACROSS = 1.0
 _DEGREES_RATIO = 1000.0
@@ -56,6 +61,31 @@ def believable(told: Coordinates, low: F64, high: F64) -> tuple[Coordinates, str
     return Coordinates(), (
         f"odd: {told.source} says degrees ({told.name}), but x reaches {most[0]:.6g} and y "
         f"{most[1]:.6g}: taken for metres; if they are not, set [ingest] scale"
+    )
+
+
+def on_the_ground(told: Coordinates, low: F64, high: F64) -> tuple[Coordinates, str]:
+    """Metres on the ground where a projection stretches them by over 1 %; a note if so.
+
+    Mercator's metres, those of web maps, are too short by the cosine of the latitude.
+    """
+    if not told.crs or told.degrees or told.geocentric or told.metres is None:
+        return told, ""
+    place = place_of(told.crs, *((low + high) / 2)[:2].tolist())
+    if place is None or not place.in_use:
+        return told, (
+            f"odd: x and y lie outside the area of {told.name} ({told.source}); if they are in "
+            "another unit, state [ingest] scale"
+        )
+    x, y = place.stretch
+    if max(abs(x - 1), abs(y - 1)) < _STRETCHED:
+        return told, ""
+    if abs(x / y - 1) < _STRETCHED:
+        x = y = float(np.sqrt(x * y))
+    metres = (told.metres[0] / x, told.metres[1] / y, told.metres[2])
+    return replace(told, metres=metres), (
+        f"{told.name} draws the ground there {_numbers((x, y))} times as large; where that is "
+        "wrong, state [ingest] scale"
     )
 
 
@@ -90,6 +120,12 @@ def require_on_earth(found: Survey, scale: Vector, where: Path) -> None:
     ------
     StageError
     """
+    most = float(np.abs([found.low, found.high]).max())
+    if most > _NO_LENGTH:
+        raise StageError(
+            f"{where}: its coordinates reach {most:.2g}, which no length does: its number type or "
+            "byte order may be another than its header says; export the file again"
+        )
     width_m = float(((found.high - found.low) * scale).max())
     if not all(_SCALES[0] <= metres <= _SCALES[1] for metres in scale) or width_m > _WIDEST_M:
         raise StageError(
@@ -193,8 +229,8 @@ def odd_sampling(scene: SceneFrame, model: ObjectModel) -> str:
 def odd_shape(model: ObjectModel) -> str:
     """What may be right but is odd about a model by itself; empty if nothing."""
     longest = _longest(model)
-    if sheet := _sheet(model):
-        return sheet
+    if odd := _sheet(model) or _far_part(model):
+        return odd
     if not _CAR.search(model.name) or _CAR_LENGTH_M[0] <= longest <= _CAR_LENGTH_M[1]:
         return ""
     return (
@@ -250,6 +286,19 @@ def _sheet(model: ObjectModel) -> str:
     return (
         f"model '{model.name}' is {max(whole):.3g} m wide because of a sheet at its base, the rest "
         f"{above[0]:.3g} x {above[1]:.3g} m; remove the sheet from the model"
+    )
+
+
+def _far_part(model: ObjectModel) -> str:
+    """Something far from the rest that makes a model look large."""
+    points = (model.vertices if len(model.vertices) else model.points).astype(np.float64)
+    rest = points[within(points, *kept_box(points))]
+    size = np.ptp(rest, axis=0)
+    if len(rest) == len(points) or 2 * size.max() > max(model.size):
+        return ""
+    return (
+        f"model '{model.name}' is {max(model.size):.3g} m large because of a part far from the "
+        f"rest, which is {size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g} m; remove that part"
     )
 
 

@@ -25,6 +25,8 @@ GAP = 0.5
 """Points behind a gap this wide are astray, as a share of the body's longest side."""
 FARTHEST = 10.0
 """So are those farther from the body than this many of its longest sides, gap or not."""
+GROUP_SHARE = 0.1
+"""And so are up to as many, as cells without data are (-9999), behind a gap of ``FARTHEST``."""
 _STEP_POINTS = 100_000
 _SPACING_POINTS = 4000
 _NEIGHBOURS = 8
@@ -47,8 +49,10 @@ class Survey:
     """(3,) least coordinates of what is not astray."""
     high: F64
     sample: F64
-    """(S, 3) of what is not astray, in random order but whatever that of the file; equal points
-    are neighbours."""
+    """(S, 3) of what is not astray, in random order but whatever that of the file; of equal points
+    there is one."""
+    share: float
+    """Of the points that the sample was drawn with, copies among them."""
 
     @property
     def origin(self) -> Vector:
@@ -73,16 +77,13 @@ class Survey:
 
         A disc about a point that reaches to its k-th neighbour holds k points.
         """
-        copies = (self.sample[1:] == self.sample[:-1]).all(axis=1)
-        places = self.sample if not copies.any() else self.sample[~np.append(False, copies)]
-        places = (places - places[:1]) * scale
+        places = (self.sample - self.sample[:1]) * scale
         if len(places) <= _NEIGHBOURS:
             return 0.0
         some = places[:_SPACING_POINTS]
         tree = KDTree(places, compact_nodes=False, balanced_tree=False)
         reach = tree.query(some, k=_NEIGHBOURS + 1)[0][:, _NEIGHBOURS]
-        thinned = len(self.sample) / max(self.points - self.strays, 1)
-        return float(np.median(reach) * np.sqrt(np.pi / _NEIGHBOURS * thinned))
+        return float(np.median(reach) * np.sqrt(np.pi / _NEIGHBOURS * self.share))
 
 
 def survey(source: SceneSource, name: str, chunk: int, progress: Progress) -> Survey:
@@ -115,9 +116,11 @@ def survey(source: SceneSource, name: str, chunk: int, progress: Progress) -> Su
         raise StageError(
             f"{name}: none of its {read:,} points has finite coordinates; export it again"
         )
-    known = sample.points
+    drawn = sample.points
+    copies = (drawn[1:] == drawn[:-1]).all(axis=1)
+    known = drawn[~np.append(False, copies)] if copies.any() else drawn
     known = known if len(known) else np.stack([low, high])
-    keep_low, keep_high = _kept_box(known)
+    keep_low, keep_high = kept_box(known)
     strays = 0
     if (low < keep_low).any() or (high > keep_high).any():
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -128,7 +131,8 @@ def survey(source: SceneSource, name: str, chunk: int, progress: Progress) -> Su
                 lowest, highest = extremes(kept)
                 low, high = np.minimum(low, lowest), np.maximum(high, highest)
         known = known[within(known, keep_low, keep_high)]
-    return Survey(points, read - points, strays, keep_low, keep_high, low, high, known)
+    share = len(drawn) / points
+    return Survey(points, read - points, strays, keep_low, keep_high, low, high, known, share)
 
 
 def left_out(found: Survey) -> Iterator[str]:
@@ -172,25 +176,29 @@ def within(xyz: F64, low: F64, high: F64) -> Mask:
     return inside
 
 
-def _kept_box(sample: F64) -> tuple[F64, F64]:
+def kept_box(sample: F64) -> tuple[F64, F64]:
     """Corners of the box that is not astray: the body, and what follows it without a gap."""
-    tail = int(TAIL_SHARE * len(sample)) or (1 if len(sample) >= FEWEST_FOR_TAILS else 0)
-    if not tail:
-        return np.full(3, -np.inf), np.full(3, np.inf)
-    axes = np.sort(sample, axis=0)
-    body = axes[tail:-tail]
-    side = float((body[-1] - body[0]).max())
-    if not side:
-        return np.full(3, -np.inf), np.full(3, np.inf)
-    low, high = body[0] - FARTHEST * side, body[-1] + FARTHEST * side
-    for axis in range(3):
-        column = axes[:, axis]
-        above = np.flatnonzero(np.diff(column[-tail - 1 :]) > GAP * side)
-        if len(above):
-            high[axis] = min(high[axis], column[-tail - 1 :][above[0]] + GAP * side / 2)
-        below = np.flatnonzero(np.diff(column[: tail + 1]) > GAP * side)
-        if len(below):
-            low[axis] = max(low[axis], column[: tail + 1][below[-1] + 1] - GAP * side / 2)
+    low, high = np.full(3, -np.inf), np.full(3, np.inf)
+    for share, gap in ((GROUP_SHARE, FARTHEST), (TAIL_SHARE, GAP)):
+        axes = np.sort(sample[within(sample, low, high)], axis=0)
+        if len(axes) < FEWEST_FOR_TAILS:
+            break
+        tail = max(int(share * len(axes)), 1)
+        body = axes[tail:-tail]
+        side = float((body[-1] - body[0]).max())
+        if not side:
+            break
+        if share == TAIL_SHARE:
+            low = np.maximum(low, body[0] - FARTHEST * side)
+            high = np.minimum(high, body[-1] + FARTHEST * side)
+        for axis in range(3):
+            column = axes[:, axis]
+            above = np.flatnonzero(np.diff(column[-tail - 1 :]) > gap * side)
+            if len(above):
+                high[axis] = min(high[axis], column[-tail - 1 :][above[0]] + gap * side / 2)
+            below = np.flatnonzero(np.diff(column[: tail + 1]) > gap * side)
+            if len(below):
+                low[axis] = max(low[axis], column[: tail + 1][below[-1] + 1] - gap * side / 2)
     return low, high
 
 

@@ -28,6 +28,9 @@ _UNITS_M = {
 }
 """Names of units as exporters write them, in metres [NIST SP 811, appendix B]."""
 
+_EAST_WEST_DEG, _NORTH_SOUTH_DEG = 15.0, 3.0
+"""Beyond the area that a projection is meant for: Norway uses zone 33 of UTM all over."""
+
 
 @dataclass(frozen=True)
 class Coordinates:
@@ -126,3 +129,42 @@ def parse_crs(text: str) -> CRS | None:
         return CRS.from_user_input(text.strip())
     except CRSError:
         return None
+
+
+@dataclass(frozen=True)
+class Place:
+    """A point of a projection on the Earth."""
+
+    stretch: tuple[float, float]
+    """How much longer than the ground it is drawn, along x and y."""
+    in_use: bool
+    """Whether the projection is meant for there."""
+
+
+def place_of(crs: str, x: float, y: float) -> Place | None:
+    """Where a projection has a point; None where that is not known, or not on the Earth."""
+    from pyproj import Proj, Transformer
+    from pyproj.exceptions import ProjError
+
+    system = parse_crs(crs)
+    if system is None or system.geodetic_crs is None:
+        return None
+    try:
+        to_degrees = Transformer.from_crs(system, system.geodetic_crs, always_xy=True)
+        longitude, latitude = to_degrees.transform(x, y)
+        factors = Proj(system).get_factors(longitude, latitude)
+    except ProjError:
+        return None
+    stretch = (float(factors.parallel_scale), float(factors.meridional_scale))
+    if not all(0 < factor < float("inf") for factor in stretch):
+        return None
+    use = system.area_of_use
+    return Place(
+        stretch,
+        use is None
+        or (
+            use.south - _NORTH_SOUTH_DEG <= latitude <= use.north + _NORTH_SOUTH_DEG
+            and (longitude - use.west + _EAST_WEST_DEG) % 360
+            <= ((use.east - use.west) % 360 or 360) + 2 * _EAST_WEST_DEG
+        ),
+    )

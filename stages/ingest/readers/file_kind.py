@@ -8,8 +8,12 @@ from pathlib import Path
 from spinpipe.stages.stage import StageError
 
 _HEAD = 1 << 16
-_NUMBER = rb"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?|nan|inf"
-_ROW = re.compile(rb"([^\s,;]+[\s,;]+)?(%s)([\s,;]+(%s)){2,}([\s,;].*)?" % (_NUMBER, _NUMBER), re.I)
+_NUMBER = rb"[-+]?(\d+([.,]\d*)?|[.,]\d+)([ed][-+]?\d+)?|nan|inf"
+_ROW = re.compile(
+    rb"([^\s,;]+[\s,;]+){0,2}(%s)([\s,;]+(%s)){2,}([\s,;].*)?" % (_NUMBER, _NUMBER), re.I
+)
+_GROUPED = re.compile(rb"[-+]?\d{1,3}((\.\d{3})+,\d+|(,\d{3})+\.\d+)")
+"""A number with thousands separators."""
 _PTX = re.compile(
     rb"\d+\s*\n\d+\s*\n" + rb"(\S+[ \t]+){2}\S+\s*\n" * 4 + rb"(\S+[ \t]+){3}\S+\s*\n" * 4
 )
@@ -35,7 +39,7 @@ _KINDS = tuple((kind, re.compile(text.encode(), re.S)) for kind, text in _BEGINN
 
 _OTHERS: tuple[tuple[bytes, str], ...] = (
     (b"version https://git-lfs", "a Git LFS pointer; fetch the file itself with 'git lfs pull'"),
-    (b"PK\x03\x04", "a zip archive; unpack it first"),
+    (b"PK\x03\x04", "a zip archive; unpack it first (3MF: export as OBJ; NPZ: as text)"),
     (b"\x1f\x8b", "a gzip archive; unpack it first"),
     (b"7z\xbc\xaf", "a 7z archive; unpack it first"),
     (b"BZh", "a bzip2 archive; unpack it first"),
@@ -59,9 +63,37 @@ _OTHERS: tuple[tuple[bytes, str], ...] = (
     (b"\xfe\xff", "text in UTF-16; save it as UTF-8"),
     (b"\x89PNG", "a picture; give the reconstruction made from it"),
     (b"\xff\xd8\xff", "a picture; give the reconstruction made from it"),
+    (b"AC10", "a DWG drawing; export the points as XYZ or LAS, a mesh as OBJ or STL"),
+    (b"AutoCAD Binary DXF", "a DXF drawing; export points as XYZ or LAS, a mesh as OBJ or STL"),
+    (b"ADRC", "a ReCap scan; export it as E57 or PTS"),
+    (b"#VRML", "a VRML scene; export it as OBJ, PLY or GLB"),
+    (b"\x80\x04\x95", "a Python pickle; write the points as PLY or with numpy.savetxt"),
     (b"%PDF", "a PDF"),
     (b"<!doctype html", "a web page; download the file itself"),
     (b"<html", "a web page; download the file itself"),
+)
+
+
+_OTHER_TEXTS: tuple[tuple[re.Pattern[bytes], str], ...] = tuple(
+    (re.compile(text, re.S | re.I), what)
+    for text, what in (
+        (
+            rb"(\s*999\r?\n[^\n]*\n)*\s*0\s*\n\s*SECTION\s",
+            "a DXF drawing; export points as XYZ or LAS, a mesh as OBJ or STL",
+        ),
+        (
+            rb"\s*(<\?xml[^>]*>\s*)?(<!DOCTYPE[^>]*>\s*)?<X3D",
+            "an X3D scene; export it as OBJ or GLB",
+        ),
+        (rb"; FBX ", "an FBX file; export it as OBJ or GLB"),
+        (rb"[^\n]{72}S\s*\d+\s*\n", "an IGES file; export it as OBJ or STL"),
+        (rb"\s*(<\?xml[^>]*>\s*)?<kml", "a KML file; give the reconstruction itself"),
+        (
+            rb"\s*\{(?=.*\"frames\")(?=.*\"transform_matrix\")",
+            "a NeRF dataset, cameras without points; give the cloud reconstructed from it",
+        ),
+        (rb"\s*\{\s*\"type\"\s*:\s*\"Feature", "a GeoJSON file; export the points as XYZ"),
+    )
 )
 
 
@@ -95,6 +127,9 @@ def file_kind(path: Path) -> str:
         if head[: len(beginning)].lower() == beginning.lower():
             raise StageError(f"{path}: this is {what}")
     head = head.removeprefix(b"\xef\xbb\xbf")
+    for pattern, what in _OTHER_TEXTS:
+        if pattern.match(head):
+            raise StageError(f"{path}: this is {what}")
     kind = next((kind for kind, pattern in _KINDS if pattern.match(head)), None)
     if kind == "obj" and not _is_text(head):
         kind = None
@@ -106,10 +141,22 @@ def file_kind(path: Path) -> str:
         lines = head.splitlines()[: -1 if size > _HEAD else None]
         if _PTX.match(head):
             raise StageError(f"{path}: this is a PTX file; export it as PTS, E57 or LAS")
+        if lines and all(map(_is_grouped, lines[1:50] or lines)):
+            raise StageError(f"{path}: its numbers have thousands separators; export them without")
         rows = [line for line in lines[:50] if _ROW.fullmatch(line.replace(b'"', b"").strip())]
         if len(rows) >= min(len(lines), 2) / 2:
             return "text"
     raise StageError(f"{path}: {_unknown(path)}")
+
+
+def _is_grouped(line: bytes) -> bool:
+    """Whether all words are numbers, some of them with thousands separators."""
+    words = re.split(rb"[;\s]+", line.strip(b" ;\t\r\n"))
+    grouped = [_GROUPED.fullmatch(word) is not None for word in words]
+    plain = re.compile(_NUMBER, re.I)
+    return any(grouped) and all(
+        g or plain.fullmatch(w) for g, w in zip(grouped, words, strict=True)
+    )
 
 
 def _is_text(head: bytes) -> bool:
@@ -126,6 +173,9 @@ def _unknown(path: Path) -> str:
         ".stl": "not an STL file, its size does not fit its number of faces",
         ".e57": "not an E57 file, it does not begin with 'ASTM-E57'",
         ".mcap": "not an MCAP file",
+        ".bin": "raw numbers without a header, as of KITTI, or a file of a COLMAP model: give the "
+        "model's folder, or write the points as PLY or PCD",
+        ".3ds": "a 3DS scene; export it as OBJ or GLB",
     }
     known = "PLY, LAS, LAZ, PCD, E57, XYZ, CSV, PTS, OBJ, STL, GLB, OFF, DAE, MCAP, Bundler, COLMAP"
     claim = claims.get(path.suffix.lower(), f"of no known format (known are {known})")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from spinpipe.schemas.arrays import F64
 from spinpipe.stages.ingest.readers.coordinates import Coordinates, beside, from_crs
+from spinpipe.stages.ingest.readers.data_kind import left_over
 from spinpipe.stages.ingest.readers.guarded import MOST_POINTS, guarded, readable
 from spinpipe.stages.ingest.readers.point_fields import full_colour, to_8_bit
 from spinpipe.stages.ingest.readers.scene_source import About, Chunk, white
@@ -55,6 +56,8 @@ class LasSource:
                 )
             self.points = self._counted
             notes = (f"its header says 0 points, {self.points:,} are there: read them",)
+        elif header.nothing_follows and not compressed and self._counted > self.points:
+            notes = left_over(self._counted, self.points, 1, self.points)
         self.coloured = {"red", "green", "blue"} <= set(names)
         self._full: float | None = None
         self.about = About(
@@ -97,6 +100,8 @@ class _Header:
     compressed: bool
     kind: str
     told: Coordinates | None
+    nothing_follows: bool
+    """Whether the points are the last of the file; newer versions may have records behind them."""
 
 
 def _header(path: Path) -> Iterator[_Header]:
@@ -112,6 +117,7 @@ def _header(path: Path) -> Iterator[_Header]:
             f"{'LAZ' if compressed else 'LAS'} {header.version}, "
             f"point format {header.point_format.id}",
             _coordinates(header),
+            header.version.minor <= 2,
         )
 
 
@@ -151,6 +157,12 @@ def _check_header(path: Path) -> int:
         raise StageError(
             f"{path}: cannot read the LAS file (its header claims {records:,} records before the "
             f"points at byte {offset:,} of {size:,}); it may be cut short, copy or export it again"
+        )
+    scales = struct.unpack_from("<3d", head, 131)
+    if not all(0 < abs(scale) < float("inf") for scale in scales):
+        raise StageError(
+            f"{path}: its header says that coordinates are multiples of {scales[0]:g}, "
+            f"{scales[1]:g} and {scales[2]:g}; export it again"
         )
     return (size - offset) // row
 

@@ -13,6 +13,7 @@ import re
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal
 
@@ -35,6 +36,7 @@ _MESH_SHARE = 0.5
 """A cloud may carry some faces; where they use this share of the vertices they are the scene."""
 _ASSET = 1 << 16
 """Bytes at the beginning of a DAE file that hold what it says of itself."""
+_STL_TITLE = 80
 _SEED = 20100502
 """Of that sample, which belongs to the file and not to the run: 3DOR 2010, 2 May."""
 
@@ -82,7 +84,7 @@ def read_mesh(path: Path, kind: str) -> FileMesh | None:
         vertices, faces, rgb = next(iter(guarded(_by_trimesh, path, kind)))
         # glTF: +y is up [Khronos glTF 2.0, section 3.4]
         up = (0.0, 1.0, 0.0) if kind in ("glb", "gltf") else None
-        told = collada_asset(path)[0] if kind == "dae" else None
+        told = collada_asset(path)[0] if kind == "dae" else _said_in_comments(path, kind)
     if not len(faces):
         return None
     if faces.min() < 0 or faces.max() >= len(vertices):
@@ -131,7 +133,7 @@ def _by_trimesh(path: Path, kind: str) -> Iterator[tuple[F64, I64, U8 | None]]:
     from trimesh.resolvers import FilePathResolver
 
     with readable(path, "mesh", "export it again"):
-        with path.open("rb") as file:
+        with path.open("rb") if kind != "obj" else BytesIO(_plain_obj(path.read_bytes())) as file:
             resolver = FilePathResolver(str(path))
             scene = trimesh.load_scene(
                 file, file_type=kind, resolver=resolver, process=False, skip_materials=True
@@ -143,6 +145,29 @@ def _by_trimesh(path: Path, kind: str) -> Iterator[tuple[F64, I64, U8 | None]]:
     if getattr(visual, "kind", None) == "vertex" and len(faces):
         rgb = np.ascontiguousarray(np.asarray(visual.vertex_colors, np.uint8)[:, :3])
     yield np.asarray(mesh.vertices, np.float64).reshape(-1, 3), faces, rgb
+
+
+def _plain_obj(data: bytes) -> bytes:
+    """OBJ with decimal points, its corners without rows of texture and normals.
+
+    trimesh takes the corners of a face to have the same rows, which files do not keep to.
+    """
+    if re.search(rb"^v[ \t][^\n]*\d,\d", data, re.M):
+        data = data.replace(b",", b".")
+    if re.search(rb"^f[ \t][^\n]*/", data, re.M):
+        data = re.sub(rb"(?<=\d)/[-\d/]*", b"", data)
+    return data
+
+
+def _said_in_comments(path: Path, kind: str) -> Coordinates | None:
+    """A unit or system that OBJ and OFF files name in comments, STL files in their title."""
+    if kind not in ("obj", "off", "stl"):
+        return None
+    with path.open("rb") as file:
+        head = file.read(_STL_TITLE if kind == "stl" else _ASSET).decode("utf-8", "replace")
+    lines = head.splitlines()
+    comments = lines[:1] if kind == "stl" else [line for line in lines if line.startswith("#")]
+    return from_text(comments, f"a comment in the {kind.upper()} file")
 
 
 def collada_asset(path: Path) -> tuple[Coordinates | None, Literal["x", "y", "z"] | None]:

@@ -60,7 +60,10 @@ def open_scene(path: Path, topic: str | None = None) -> SceneSource:
         case "bundler" | "patch" | "opensfm":
             return read_sfm(path, kind)
         case _:
-            raise StageError(f"{path}: its mesh has no faces; give a cloud or a mesh")
+            raise StageError(
+                f"{path}: it has no faces, and points are not read from {kind} files: export the "
+                "cloud as PLY, or a mesh with faces"
+            )
 
 
 def _open_folder(folder: Path) -> SceneSource:

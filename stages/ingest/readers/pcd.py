@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from spinpipe.schemas.arrays import U8
 from spinpipe.stages.ingest.readers.coordinates import Coordinates, beside
+from spinpipe.stages.ingest.readers.data_kind import left_over, why_not
 from spinpipe.stages.ingest.readers.point_fields import colours_of, xyz_of
 from spinpipe.stages.ingest.readers.scene_source import About, Chunk
 from spinpipe.stages.stage import StageError
@@ -64,11 +65,17 @@ class PcdSource:
                 f"{path}: its points have no field {', '.join(missing)} (only {', '.join(names)}); "
                 "export the cloud with coordinates"
             )
+        if self.points and (why := why_not(path, self._offset, self._encoding == "ascii")):
+            raise StageError(f"{path}: {why}; export the cloud again")
         self.coloured = "rgb" in names or "rgba" in names
+        row, size = self._dtype.itemsize, path.stat().st_size
+        fits = self._encoding == "binary"
+        end = self._offset + self.points * row
         self.about = About(
             kind=f"PCD, {self._encoding}",
             fields=tuple(n for n in names if n not in _SHOWN and n[0] != "_"),
             coordinates=beside(path) or Coordinates(),
+            notes=left_over(size, end, row, self.points) if fits else (),
         )
         self._check_size()
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinpipe.stages.ingest.readers.coordinates import Coordinates, beside, from_text
+from spinpipe.stages.ingest.readers.data_kind import left_over, why_not
 from spinpipe.stages.ingest.readers.ply_header import PlyElement, PlyHeader, parse_header
 from spinpipe.stages.ingest.readers.ply_lists import ListRows
 from spinpipe.stages.ingest.readers.point_fields import full_colour, to_8_bit
@@ -74,6 +75,8 @@ class PlySource:
         self._axes = tuple(fields[axis] for axis in "xyz")
         self._colours = tuple(fields[name] for name in colours)
         self._full: float | None = None
+        if self.points and (why := why_not(path, self._header.data_offset, self._header.text)):
+            raise StageError(f"{path}: {why}; export the cloud again")
         number = np.dtype(self._vertex.properties[self._column(self._axes[0])].dtype).name
         self.about = About(
             kind=f"PLY, {self._header.encoding}, {number}",
@@ -85,6 +88,7 @@ class PlySource:
             coordinates=beside(path)
             or from_text(self._header.comments, "a comment in the PLY header")
             or Coordinates(),
+            notes=self._left_over(),
         )
         if not self._header.text and not self._has_lists():
             self._check_size()
@@ -126,6 +130,14 @@ class PlySource:
                 f"{self._path}: cut short, {missing:,} bytes or {-(-missing // row):,} of "
                 f"{self.points:,} points are missing; copy or export the file again"
             )
+
+    def _left_over(self) -> tuple[str, ...]:
+        tables = self._header.elements
+        if self._header.text or any(e.count and e.has_lists for e in tables):
+            return ()
+        end = self._header.data_offset + sum(e.count * e.dtype.itemsize for e in tables if e.count)
+        row = self._vertex.dtype.itemsize
+        return left_over(self._path.stat().st_size, end, row, self.points)
 
     def _vertex_offset(self) -> int:
         before = self._header.elements[: self._index]

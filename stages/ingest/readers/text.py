@@ -1,8 +1,9 @@
 """Clouds as lines of numbers: XYZ, TXT, CSV, ASC, PTS, and the vertices of OBJ files.
 
 There is no standard: columns are separated by blanks, commas, semicolons or tabs, decimals by a
-point or a comma, numbers may be quoted, a title and a line of names may stand first, a name or a
-running number before each point, and PTS puts the number of points before each of its scans.
+point or a comma, exponents written with E or Fortran's D, numbers may be quoted, a title and lines
+of names and units may stand first, a name, a date or a running number before each point, a label
+behind it, and PTS puts the number of points before each of its scans.
 """
 
 from __future__ import annotations
@@ -23,8 +24,13 @@ from spinpipe.stages.ingest.readers.scene_source import About, Chunk, white
 from spinpipe.stages.stage import StageError
 
 _HEAD_LINES = 200
-_NUMBER = re.compile(rb"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?nan|[-+]?inf", re.I)
-_DECIMAL_COMMA = re.compile(rb"[-+]?\d*,\d+([eE][-+]?\d+)?")
+_NUMBER = re.compile(rb"[-+]?(\d+\.?\d*|\.\d+)([ed][-+]?\d+)?|[-+]?nan|[-+]?inf", re.I)
+_DECIMAL_COMMA = re.compile(rb"[-+]?\d*,\d+([ed][-+]?\d+)?", re.I)
+_FORTRAN = re.compile(rb"[-+]?(\d+\.?\d*|\.\d+)d[-+]?\d+", re.I)
+_MISSING = re.compile(rb"|null|none|#?n/?a|-+|\?", re.I)
+"""What stands where there is no number: the point has none."""
+_MOST_BEFORE = 2
+"""Words before the coordinates: a name, or date and time."""
 _COMMENTS = (b"#", b"//", b"%", b"!")
 _NAMES = {
     "x": "x|e|east(ing)?|px|x_?coord\\w*|lon(gitude)?",
@@ -45,6 +51,8 @@ class _Layout:
     separator: bytes | None
     """None: blanks."""
     decimal_comma: bool
+    fortran: bool
+    """Whether exponents are written with D."""
     names: tuple[str, ...]
     """Of the columns, lower case; empty where the file names none."""
     columns: tuple[int, ...]
@@ -73,8 +81,7 @@ class TextSource:
     def __init__(self, path: Path, prefix: bytes = b"") -> None:
         self._path = path
         self._prefix = prefix
-        with path.open("rb") as file:
-            head = list(itertools.islice(file, 100_000 if prefix else _HEAD_LINES))
+        head = list(itertools.islice(_lines(path), 100_000 if prefix else _HEAD_LINES))
         self._layout = self._understand(head)
         self.coloured = len(self._layout.columns) == 6
         self._promised = self._layout.counts or 0
@@ -84,6 +91,9 @@ class TextSource:
                 f"{path}: cut short, {self._promised - self.points:,} of {self._promised:,} points "
                 "are missing; copy or export the file again"
             )
+        notes = ()
+        if self._promised and self.points > self._promised:
+            notes = (f"its header says {self._promised:,} points, {self.points:,} are there",)
         self._full: float | None = None
         named = self._layout.names
         comments = [line.decode("utf-8", "replace") for line in head if _is_comment(line)]
@@ -94,6 +104,7 @@ class TextSource:
             + (", decimal commas" if self._layout.decimal_comma else ""),
             fields=tuple(n for i, n in enumerate(named) if i not in self._layout.columns),
             coordinates=told or _by_names([named[i] for i in self._layout.columns[:3] if named]),
+            notes=notes,
         )
 
     def chunks(self, points: int) -> Iterator[Chunk]:
@@ -118,9 +129,12 @@ class TextSource:
             numeric = [_NUMBER.fullmatch(word) is not None for word in words]
             columns = _named_columns(names)
             if columns and max(columns) < len(words):
-                row = all(numeric[column] for column in columns)
+                row = all(
+                    numeric[column] or _MISSING.fullmatch(words[column]) for column in columns
+                )
             else:
-                row = len(words) >= 3 and all(numeric[not numeric[0] and len(words) > 3 :])
+                columns = ()
+                row = self._is_point(numeric, head[number + 1 : number + 4])
             if row:
                 if self._prefix and len(words) == 6:  # vertices with colours, OBJ has no others
                     columns = tuple(range(6))
@@ -130,7 +144,8 @@ class TextSource:
                         [_words(one, separator, decimal_comma) for one in sample if one]
                     )
                 names = names if len(names) >= len(words) else ()
-                return _Layout(separator, decimal_comma, names, columns, skipped, counts)
+                fortran = any(_FORTRAN.fullmatch(word) for word in words)
+                return _Layout(separator, decimal_comma, fortran, names, columns, skipped, counts)
             if len(words) == 1 and words[0].isdigit():
                 counts = int(words[0])
             elif 2 * sum(numeric) >= len(words) or self._prefix:
@@ -140,13 +155,29 @@ class TextSource:
                 )
             else:
                 found = tuple(w.strip(b"' /").decode("utf-8", "replace").lower() for w in words)
+                if _named_columns(names) and not _named_columns(found):
+                    # their units, where it is a line of them
+                    found = (
+                        tuple(map("{} [{}]".format, names, found))
+                        if len(found) == len(names)
+                        else names
+                    )
                 names = found if any(re.match(r"[a-z]", name) for name in found) else names
             skipped += 1
         raise StageError(f"{self._path}: no line holds x, y and z; export it again")
 
+    def _is_point(self, numeric: list[bool], next_lines: list[bytes]) -> bool:
+        """Three numbers, with labels behind them only where the next lines have them there, too."""
+        begin = _first_of_three(numeric)
+        if begin is None or all(numeric[begin:]):
+            return begin is not None
+        rows = [row for line in next_lines if (row := self._stripped(line)) is not None]
+        others = [[bool(_NUMBER.fullmatch(w)) for w in _words(r, *_separator(r))] for r in rows]
+        return bool(others) and all(_first_of_three(other) == begin for other in others)
+
     def _stripped(self, raw: bytes) -> bytes | None:
         """The numbers of a line; None where it is empty, a comment or something else."""
-        line = raw.strip(b"\r\n\t ,;").removeprefix(b"\xef\xbb\xbf").replace(b'"', b"")
+        line = raw.strip(b"\r\n\t ").removeprefix(b"\xef\xbb\xbf").replace(b'"', b"")
         if self._prefix:
             first, *rest = line.split(None, 1)[:2] or [b""]
             return rest[0] if rest and first == self._prefix else None
@@ -154,15 +185,14 @@ class TextSource:
 
     def _blocks(self, points: int) -> Iterator[tuple[int, list[bytes]]]:
         """Lines that should be points, and the number of points before them."""
-        with self._path.open("rb") as file:
-            lines = itertools.islice(file, self._layout.skipped, None)
-            rows = (line for raw in lines if (line := self._stripped(raw)) is not None)
-            if self._layout.counts is not None:
-                rows = self._without_counts(rows)
-            start = 0
-            while block := list(itertools.islice(rows, points)):
-                yield start, block
-                start += len(block)
+        lines = itertools.islice(_lines(self._path), self._layout.skipped, None)
+        rows = (line for raw in lines if (line := self._stripped(raw)) is not None)
+        if self._layout.counts is not None:
+            rows = self._without_counts(rows)
+        start = 0
+        while block := list(itertools.islice(rows, points)):
+            yield start, block
+            start += len(block)
 
     def _without_counts(self, rows: Iterable[bytes]) -> Iterator[bytes]:
         """Rows, without the numbers of points that stand before each further scan."""
@@ -179,19 +209,56 @@ class TextSource:
         for start, lines in self._blocks(points):
             if layout.decimal_comma:
                 lines = [line.replace(b",", b".") for line in lines]
+            if layout.fortran:
+                lines = [line.replace(b"D", b"E").replace(b"d", b"e") for line in lines]
             try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("error")
-                    delimiter = layout.separator.decode() if layout.separator else None
-                    yield np.loadtxt(
-                        lines, comments=None, delimiter=delimiter, usecols=layout.columns, ndmin=2
-                    )
-            except (ValueError, UnicodeDecodeError, Warning) as error:
-                raise StageError(
-                    f"{self._path}: cannot read points {start:,} to {start + len(lines):,} of "
-                    f"{self.points:,} ({error}); the file may be cut short or damaged there, "
-                    "copy or export it again"
-                ) from None
+                yield self._parsed(lines)
+            except _UNREADABLE:
+                try:
+                    yield self._parsed([_filled(line, layout.separator) for line in lines])
+                except _UNREADABLE as error:
+                    raise StageError(
+                        f"{self._path}: cannot read points {start:,} to {start + len(lines):,} of "
+                        f"{self.points:,} ({error}); the file may be cut short or damaged there, "
+                        "copy or export it again"
+                    ) from None
+
+    def _parsed(self, lines: list[bytes]) -> F64:
+        delimiter = self._layout.separator.decode() if self._layout.separator else None
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            return np.loadtxt(
+                lines, comments=None, delimiter=delimiter, usecols=self._layout.columns, ndmin=2
+            )
+
+
+_UNREADABLE = (ValueError, UnicodeDecodeError, Warning)
+
+
+def _lines(path: Path) -> Iterator[bytes]:
+    """Lines of a file, which on old Macs ended with CR alone."""
+    with path.open("rb") as file:
+        head = file.read(1 << 16)
+        file.seek(0)
+        if b"\n" in head or b"\r" not in head:
+            yield from file
+            return
+    with path.open(encoding="latin-1", newline="\r") as text:
+        for line in text:
+            yield line.encode("latin-1")
+
+
+def _filled(line: bytes, separator: bytes | None) -> bytes:
+    """A line with ``nan`` where a number is missing."""
+    words = line.split(separator)
+    filled = [b"nan" if _MISSING.fullmatch(word.strip()) else word for word in words]
+    return (separator or b" ").join(filled)
+
+
+def _first_of_three(numeric: list[bool]) -> int | None:
+    """Where the first three numbers in a row begin; None where there are none near the front."""
+    firsts = range(min(len(numeric) - 2, _MOST_BEFORE + 1))
+    return next((i for i in firsts if all(numeric[i : i + 3])), None)
 
 
 def _is_comment(line: bytes) -> bool:
@@ -211,6 +278,8 @@ def _separator(line: bytes) -> tuple[bytes | None, bool]:
 
 def _words(line: bytes, separator: bytes | None, decimal_comma: bool) -> list[bytes]:
     words = [word.strip() for word in line.split(separator)]
+    if len(words) > 1 and not words[-1]:
+        del words[-1]
     return [word.replace(b",", b".") for word in words] if decimal_comma else words
 
 
@@ -241,20 +310,30 @@ def _guessed_columns(table: list[list[bytes]]) -> tuple[int, ...]:
     """Columns of x, y, z and the colours of unnamed ones, by the words of the first rows.
 
     A name or a running number may stand first, intensity between coordinates and colours. Colours
-    are whole numbers up to 255 of which one is over 1: else they are components of normals.
+    are whole numbers up to 255 of which one is over 1, or 0 to 1 and not the components of normals.
     """
     count = len(table[0])
     table = [words for words in table if len(words) == count]
     first = [words[0] for words in table]
     running = [b"%d" % (int(first[0]) + i) for i in range(len(first))] if first[0].isdigit() else []
     numbered = len(first) > 2 and first == running
-    begin = int(count > 3 and (numbered or not _NUMBER.fullmatch(first[0])))
+    begin = _first_of_three([bool(_NUMBER.fullmatch(word)) for word in table[0]]) or 0
+    begin = 1 if not begin and numbered and count > 3 else begin
     for red in {6: (3,), 7: (4, 3)}.get(count - begin, (3,) if count - begin > 7 else ()):
-        cells = [word for words in table for word in words[begin + red : begin + red + 3]]
-        whole = all(re.fullmatch(rb"\d{1,3}(\.0*)?", word) for word in cells)
-        if whole and 1 < max(map(float, cells)) < 256:
+        rows = [words[begin + red : begin + red + 3] for words in table]
+        if _are_colours(rows):
             return tuple(begin + i for i in (0, 1, 2, red, red + 1, red + 2))
     return (begin, begin + 1, begin + 2)
+
+
+def _are_colours(rows: list[list[bytes]]) -> bool:
+    cells = [word for words in rows for word in words]
+    if all(re.fullmatch(rb"\d{1,3}(\.0*)?", word) for word in cells):
+        return 1 < max(map(float, cells)) < 256
+    if not all(re.fullmatch(rb"(0?\.\d+|[01](\.\d*)?)(e-\d+)?", word, re.I) for word in cells):
+        return False
+    lengths = np.linalg.norm(np.array([[float(word) for word in words] for words in rows]), axis=1)
+    return not np.allclose(lengths, 1, atol=0.02) and float(max(map(float, cells))) > 0
 
 
 def _by_names(names: list[str]) -> Coordinates:

@@ -1,6 +1,7 @@
 """The ground stage on scenes whose up is known: made ones, turned ones, real ones."""
 
 import contextlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from tests.unit.ground.scenes import (
     up_of,
 )
 
-from spinpipe.schemas import SAMPLING
+from spinpipe.schemas import SAMPLING, SCENE
 from spinpipe.schemas.records import Cameras, Trajectory
 from spinpipe.stages.ground.area_sample import sample_by_area
 from spinpipe.stages.ground.ground import Ground
@@ -252,6 +253,17 @@ def test_the_sample_is_bounded_and_uniform_in_area():
     assert sample.counts.sum() == len(sparse) + len(dense)
     left = np.count_nonzero(sample.points[:, 0] < 10)
     assert left / len(sample.points) == pytest.approx(0.5, abs=0.02)
+
+
+def test_steps_of_the_coordinates_are_no_evidence():
+    """Metres in a column of whole numbers make planes that hold more than the ground."""
+    lot = car_park(np.random.default_rng(27))
+    lot[:, 0] = np.rint(lot[:, 0])
+    context = Memory([lot.astype(np.float32)], None, 0)
+    (frame,) = context.messages[SCENE]
+    context.messages[SCENE] = [replace(frame, spacing_m=0.1, step_m=1.0)]
+    with pytest.raises(StageError, match=r"coordinates come in steps of 1 m, 10 times as far"):
+        Ground().run(context)
 
 
 def test_what_the_format_says_is_kept():

@@ -142,6 +142,44 @@ def test_far_outliers_cost_no_precision(tmp_path: Path) -> None:
     assert np.abs(np.array(frame.origin) - xyz[50:].mean(axis=0)).max() < 5
 
 
+@pytest.mark.parametrize("missing", [[0.0, 0.0, 0.0], [576_730.0, 5_188_180.0, -9999.0]])
+def test_cells_without_data_decide_nothing(tmp_path: Path, missing: Any) -> None:
+    """Many copies of one point are one, and a few per cent far off are astray."""
+    xyz, _ = georeferenced(5000)
+    astray = np.tile(missing, (1500, 1))
+    if missing[2]:
+        astray = astray[:300] + np.random.default_rng(0).uniform(0, (9, 9, 0), (300, 3))
+    scene = write_scene(tmp_path / "scene.ply", np.concatenate([xyz, astray]))
+    read, notes = ingest(tmp_path / "run", scene)
+    (frame,) = read(SCENE)
+    assert (frame.points, frame.strays) == (5000, len(astray))
+    assert f"left out {len(astray):,} points far from all others" in " ".join(notes)
+    size = read(TILES)[0].high.max(axis=0) - read(TILES)[0].low.min(axis=0)
+    np.testing.assert_allclose(size, (60, 40, 3), atol=0.2)
+
+
+@pytest.mark.parametrize(
+    ("crs", "offset", "scale", "said"),
+    [
+        ("EPSG:3857", (780_000, 6_621_000, 0), 0.62934, "draws the ground there 1.58896 times"),
+        ("EPSG:32632", (500_000, 5_200_000, 0), 1.0, ""),
+        ("EPSG:2272", (500_000, 5_200_000, 0), 0.3048006, "outside the area of NAD83"),
+    ],
+)
+def test_metres_of_web_maps_are_not_metres(
+    tmp_path: Path, crs: str, offset: Any, scale: float, said: str
+) -> None:
+    xyz = np.random.default_rng(0).uniform(0, (60, 40, 3), (500, 3)) + offset
+    scene = write_scene(tmp_path / "scene.ply", xyz, comments=[crs])
+    read, notes = ingest(tmp_path / "run", scene)
+    (frame,) = read(SCENE)
+    assert frame.scale[:2] == pytest.approx((scale, scale), rel=1e-5)
+    assert said in " ".join(notes)
+    assert said or len(notes) == 1
+    _, notes = ingest(tmp_path / "stated", scene, scale=1.0)
+    assert "times" not in " ".join(notes)
+
+
 def test_duplicates_and_single_points(tmp_path: Path) -> None:
     xyz = np.full((3000, 3), 7.25)
     xyz[0] = 0
@@ -157,6 +195,10 @@ def test_duplicates_and_single_points(tmp_path: Path) -> None:
     [
         (np.empty((0, 3)), "the cloud is empty"),
         (np.full((10, 3), np.nan), "none of its 10 points has finite coordinates"),
+        (
+            np.arange(30).reshape(10, 3) * 1e30,
+            "its coordinates reach 2.9e.31, which no length does",
+        ),
     ],
 )
 def test_bad_scenes(tmp_path: Path, xyz: Any, message: str) -> None:

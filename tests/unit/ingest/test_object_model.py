@@ -84,6 +84,51 @@ def test_axes_and_scale(tmp_path: Path, brick: Any, up: str, forward: str) -> No
     np.testing.assert_allclose((high - low)[[0, 2]], [size[forward[-1]] / 2, size[up[-1]] / 2])
 
 
+def test_up_in_any_direction(tmp_path: Path, brick: Any) -> None:
+    """A brick that lies tilted in its file stands as it would untilted."""
+    turn = trimesh.transformations.rotation_matrix(0.5, (1, 0, 0))
+    brick.apply_transform(turn)
+    brick.export(tmp_path / "brick.ply")
+    model = load(tmp_path / "brick.ply", up=turn[:3, 2].tolist(), forward="x")
+    np.testing.assert_allclose(model.size, (4, 2, 1), atol=1e-5)
+    for up, forward in (([0, 0, 0], None), ([3, 0, 1e-9], "x")):
+        with pytest.raises(ValidationError, match=r"up must not|set forward to another"):
+            load(tmp_path / "brick.ply", up=up, forward=forward)
+
+
+WEDGE = "v 0 -1 -2\nv 0 1 -2\nv 0 -1 2\nv 0 1 2\nv 1 0 -2\nv 1 0 1.8\n"
+"""A roof on the plane x = 0, its ridge along z."""
+SIDES = ("1 3 4 2", "1 5 6 3", "2 4 6 5", "1 2 5", "3 6 4")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        WEDGE + "".join(f"f {side}\n" for side in SIDES),
+        "# Units: feet\n" + WEDGE + "".join(f"f {side}\n" for side in SIDES),
+        WEDGE.replace(".", ",") + "".join(f"f {side}\n" for side in SIDES),
+        WEDGE
+        + "vt 0 0\nvn 0 0 1\n"
+        + "".join(
+            "f "
+            + " ".join(f"{v}{('', '/1', '//1', '/1/1')[i]}" for i, v in enumerate(s.split()))
+            + "\n"
+            for s in SIDES
+        ),
+    ],
+    ids=["x up", "unit in a comment", "decimal commas", "mixed corners"],
+)
+def test_dialects_of_obj(tmp_path: Path, text: str) -> None:
+    (tmp_path / "roof.obj").write_text(text)
+    config = ModelConfig(name="roof", path=tmp_path / "roof.obj")
+    file = read_model(config)
+    assert (file.up, file.forward, file.closed) == ("x", "z", True)
+    assert "x is taken for up" in file.doubt
+    assert file.metres == (0.3048 if "feet" in text else None)
+    size = object_model(config, file, np.random.default_rng(0)).size
+    np.testing.assert_allclose(size, np.array([4, 2, 1]) * (file.metres or 1), rtol=1e-6)
+
+
 def test_parts_of_a_scene_keep_their_places(tmp_path: Path) -> None:
     scene = trimesh.Scene()
     for x in (0.0, 8.0):

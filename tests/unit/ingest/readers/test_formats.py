@@ -104,6 +104,7 @@ COLOURED = "\n".join(
     " ".join([*(f"{v:.6f}" for v in p), *map(str, c)]) for p, c in zip(XYZ, RGB, strict=True)
 )
 LINES = COLOURED.split("\n")
+ROWS_RGB = list(zip(ROWS.split("\n"), RGB, strict=True))
 
 
 @pytest.mark.parametrize(
@@ -127,6 +128,16 @@ LINES = COLOURED.split("\n")
         ("\n".join(["2", *LINES[:2], "2", *LINES[2:]]), True),
         ("\n".join(f"{row} 0.0 0.6 0.8" for row in ROWS.split("\n")), False),
         ("id x y z\n" + "\n".join(f"{i} {row}" for i, row in enumerate(ROWS.split("\n"))), False),
+        ("\n".join(" ".join(f"{v:.9E}".replace("E", "D") for v in row) for row in XYZ), False),
+        ("\n".join(f"{a} {' '.join(f'{v:.6f}' for v in c / 255)}" for a, c in ROWS_RGB), True),
+        (
+            "\n".join(f"2026-01-02 12:00:{i}0 {row}" for i, row in enumerate(ROWS.split("\n"))),
+            False,
+        ),
+        ("\n".join(f"{row} # a tree" for row in ROWS.split("\n")), False),
+        (ROWS.replace("\n", "\r"), False),
+        ("x;y;z;\n" + ROWS.replace(" ", ";").replace("\n", ";\n"), False),
+        ("z,y,x\nm,m,m\n" + "\n".join(",".join(r.split()[::-1]) for r in ROWS.split("\n")), False),
     ],
 )
 def test_text(tmp_path: Path, text: str, coloured: bool) -> None:
@@ -151,9 +162,59 @@ def test_damaged_text_names_the_place(tmp_path: Path) -> None:
         open_scene(path)
 
 
+@pytest.mark.parametrize("missing", ["1,,3,5", ",2,3,5", "NA,NA,NA,5", "1,null,3,5", ",,,"])
+def test_rows_without_numbers_are_points_without_coordinates(tmp_path: Path, missing: str) -> None:
+    path = tmp_path / "cloud.csv"
+    path.write_text("x,y,z,i\n" + ROWS.replace(" ", ",").replace("\n", ",5\n") + f",5\n{missing}\n")
+    xyz, _ = read(path, 10)
+    np.testing.assert_allclose(xyz[:4], XYZ, atol=1e-6)
+    assert not np.isfinite(xyz[4]).all()
+
+
+def test_a_count_that_is_too_small_is_said(tmp_path: Path) -> None:
+    (tmp_path / "cloud.pts").write_text("2\n" + ROWS)
+    assert open_scene(tmp_path / "cloud.pts").about.notes == (
+        "its header says 2 points, 4 are there",
+    )
+    whole = pcd("binary")
+    fewer = whole.replace(b"POINTS 4", b"POINTS 2").replace(b"HEIGHT 2", b"HEIGHT 1")
+    (tmp_path / "cloud.pcd").write_bytes(fewer)
+    (note,) = open_scene(tmp_path / "cloud.pcd").about.notes
+    assert note.startswith(
+        "odd: its header says 2 points, what follows them has the size of 2 more"
+    )
+
+
+def test_data_of_another_kind_than_the_header_says(tmp_path: Path) -> None:
+    path = tmp_path / "cloud"
+    text, binary = pcd("ascii"), pcd("binary")
+    swapped = text.replace(b"DATA ascii", b"DATA binary"), binary.replace(b"binary", b"ascii")
+    head = f"ply\nformat {{}} 1.0\nelement vertex 4\n{AXES}end_header\n"
+    swapped += (
+        (head.format("binary_little_endian") + ROWS).encode(),
+        (head.format("ascii").encode() + XYZ.astype("<f4").tobytes()),
+    )
+    for content in swapped:
+        path.write_bytes(content)
+        with pytest.raises(StageError, match=r"its header says (ascii|binary), but its data are"):
+            open_scene(path)
+    values = np.frombuffer(b"\n\x80" * 120, "<f4")
+    binary = head.format("binary_little_endian").replace("4", "20", 1).encode() + values.tobytes()
+    path.write_bytes(binary)
+    assert open_scene(path).points == 20
+    path.write_bytes(binary.replace(b"\n", b"\r\n"))
+    with pytest.raises(StageError, match="line ends were translated"):
+        open_scene(path)
+
+
 @pytest.mark.parametrize(
     ("names", "unit"),
-    [("x [ft],y [ft],z [ft]", 0.3048), ("x_mm,y_mm,z_mm", 1e-3), ("x_coord,y_coord,h", None)],
+    [
+        ("x [ft],y [ft],z [ft]", 0.3048),
+        ("x,y,z\nft,ft,ft", 0.3048),
+        ("x_mm,y_mm,z_mm", 1e-3),
+        ("x_coord,y_coord,h", None),
+    ],
 )
 def test_units_in_the_names_of_columns(tmp_path: Path, names: str, unit: float | None) -> None:
     path = tmp_path / "cloud.csv"
@@ -174,12 +235,23 @@ def test_units_in_the_names_of_columns(tmp_path: Path, names: str, unit: float |
         (b"4\n1\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n", "a PTX file"),
         ("x,y,z\n1,2,3\n".encode("utf-16"), "text in UTF-16; save it as UTF-8"),
         (b"ncols 2\nnrows 1\n1 2\n", "a raster of heights"),
+        (b"  0\r\nSECTION\r\n  2\r\nENTITIES\r\n", "a DXF drawing"),
+        (b"999\nmade by\n0\nSECTION\n2\nHEADER\n", "a DXF drawing"),
+        (b"AC1032\0\0", "a DWG drawing"),
+        (b'{"camera_angle_x": 1, "frames": [{"transform_matrix": []}]}', "a NeRF dataset"),
+        (b"500.123,250;4.482.130,000;650,1\n500.124,250;4.482.131,000;650,2\n", "thousands"),
+        (b"500,123.25 4,482,130.0 650.1\n500,124.25 4,482,131.0 650.2\n", "thousands"),
+        (b"; FBX 7.3.0 project file\n", "an FBX file"),
+        (b" " * 72 + b"S      1\n", "an IGES file"),
     ],
 )
 def test_files_that_are_no_cloud(tmp_path: Path, content: bytes, message: str) -> None:
-    (tmp_path / "scene.bin").write_bytes(content)
+    (tmp_path / "scene.dat").write_bytes(content)
     with pytest.raises(StageError, match=message):
-        open_scene(tmp_path / "scene.bin")
+        open_scene(tmp_path / "scene.dat")
+
+
+AXES = "property float x\nproperty float y\nproperty float z\n"
 
 
 def ply(properties: list[str], rows: list[str], extra: str = "", after: str = "") -> bytes:
