@@ -319,7 +319,7 @@ def interrupt_at_message(
         go_on(cli, run, *options)
 
 
-@settings(max_examples=12)
+@settings(max_examples=6)
 @given(share=st.floats(0, 1))
 def test_a_scan_killed_at_any_byte_ends_the_same(
     cli: Cli, finished_yard: YardRun, tmp_path_factory: pytest.TempPathFactory, share: float

@@ -34,7 +34,7 @@ run_command(config, output, common, "ingest", None, "save", False)
 status = Path("/proc/self/status").read_text()
 peak = 1024 * int(next(line for line in status.splitlines() if "VmHWM" in line).split()[1])
 seen = []
-for points in range(10):
+for points in range(7):
     more = [*common, f"record.preview_points={1000 + points}"]
     run_command(config, output, more, None, "ingest", "save", False)
     seen.append(held())
