@@ -132,7 +132,7 @@ def load_config(path: Path, overrides: Iterable[str] = ()) -> RunConfig:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        hint = _backslash_hint(path, error)
+        hint = _toml_hint(path, error)
         raise ConfigError(f"{path}: not valid TOML: {error}{hint}") from None
     return config_of(raw, path, overrides)
 
@@ -167,13 +167,25 @@ def scene_config(scene: Path) -> RunConfig:
     )
 
 
-def _backslash_hint(path: Path, error: Exception) -> str:
-    """What to do about a Windows path in double quotes: TOML takes its backslashes for escapes."""
+_MISTAKES = (
+    (r'"[^"]*\\[^"]*"', "write paths with / or in single quotes: scene = 'C:\\data\\scene.ply'"),
+    (r"=\s*\d+,\d", "decimals have a point: scale = 0.3048"),
+    (r"=\s*[\u2018-\u201f]", "its quotes are typographic: write scene = 'scene.ply'"),
+    (r"=\s*[A-Za-z/~.]", "text stands in quotes: scene = 'scene.ply'"),
+)
+"""What lines that are not TOML look like, and what was meant."""
+
+
+def _toml_hint(path: Path, error: Exception) -> str:
+    """What is wrong with the line that TOML stumbles over, where that shows."""
     line = re.search(r"\(at line (\d+)", str(error))
     text = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
-    if line and re.search(r'"[^"]*\\[^"]*"', text[min(int(line[1]), len(text)) - 1]):
-        return "; write paths with / or in single quotes: scene = 'C:\\data\\scene.ply'"
-    return ""
+    if not line or not text:
+        return ""
+    row = text[min(int(line[1]), len(text)) - 1]
+    if "overwrite" in str(error) or "twice" in str(error):
+        return f"; '{row.strip()}' is there twice"
+    return next((f"; {hint}" for pattern, hint in _MISTAKES if re.search(pattern, row)), "")
 
 
 def _require_sections(raw: dict[str, Any], path: Path) -> None:

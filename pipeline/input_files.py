@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import json
 import os
+import re
 import stat
 import time
 from collections.abc import Iterator
@@ -20,6 +22,28 @@ _CLOCK_S = 0.02
 _PHOTOS = (".jpg", ".jpeg")
 _PHOTO_HEAD = 1 << 17
 """EXIF is one segment near the beginning, of at most 64 KiB [CIPA DC-008, 4.7.2]."""
+
+_LINK = re.compile(r"(^|/)(https?|ftp|s3|file):")
+
+
+def _missing_hint(path: Path) -> str:
+    """What a path that leads nowhere was meant to be, where that shows."""
+    text = str(path)
+    if not text.isprintable():
+        return "; escapes like \\t stand in it: write paths with / or in single quotes"
+    if _LINK.search(text):
+        return "; links are not followed: download it and give its path"
+    if "$" in text or "%" in text:
+        return "; variables are not replaced: write the whole path"
+    if "\\" in text:
+        return "; folders are parted by / here"
+    try:
+        there = {other.name.lower(): other.name for other in path.parent.iterdir()}
+    except OSError:
+        return f"; the folder {path.parent} is not there either"
+    near = difflib.get_close_matches(path.name.strip(" '\"").lower(), there, n=1, cutoff=0.6)
+    return f"; did you mean '{there[near[0]]}'?" if near else ""
+
 
 Identity = tuple[tuple[str | int, ...], ...]
 
@@ -78,7 +102,7 @@ def _files(path: Path, key: str) -> Iterator[Path]:
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
-        raise StageError(f"{key}: {path} does not exist") from None
+        raise StageError(f"{key}: {path} does not exist{_missing_hint(path)}") from None
     if stat.S_ISREG(mode):
         yield path
         return

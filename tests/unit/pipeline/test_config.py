@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import os
+import re
 import tomllib
 from pathlib import Path
 
 import pytest
 
 from spinpipe.pipeline.config import SECTIONS, ConfigError, RunConfig, load_config
+from spinpipe.pipeline.input_files import hash_path
 from spinpipe.stages import STAGES
 from spinpipe.stages.ingest.ingest import Ingest
 from spinpipe.stages.ingest.model import Model
 from spinpipe.stages.ingest.object_model import ModelConfig
 from spinpipe.stages.scan.scan import Scan
-from spinpipe.stages.stage import Section
+from spinpipe.stages.stage import Section, StageError
 
 MINIMAL = """\
 [ingest]
@@ -152,6 +154,44 @@ def test_an_unreadable_file_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize("text", ["[scan\n", "scan = \n", "[scan]\nbin_m = 0,1\n", "\x00"])
 def test_broken_toml_is_named_with_its_line(tmp_path: Path, text: str) -> None:
     assert "lot.toml: not valid TOML" in error(tmp_path, MINIMAL + text)
+
+
+@pytest.mark.parametrize(
+    ("line", "meant"),
+    [
+        ("scene = C:/data/scene.ply", "text stands in quotes"),
+        ('scene = "C:\\data\\scene.ply"', "write paths with / or in single quotes"),
+        ("scene = \u201cscene.ply\u201d", "its quotes are typographic"),
+        ("scale = 0,3048", "decimals have a point"),
+        ('scene = "a.ply"\nscene = "b.ply"', "'scene = \"b.ply\"' is there twice"),
+    ],
+)
+def test_what_a_broken_line_was_meant_to_be(tmp_path: Path, line: str, meant: str) -> None:
+    path = tmp_path / "lot.toml"
+    path.write_text(f"[ingest]\n{line}\n", "utf-8")
+    with pytest.raises(ConfigError, match=re.escape(meant)):
+        load_config(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("Scene.PLY", "; did you mean 'scene.ply'?"),
+        ("scene", "; did you mean 'scene.ply'?"),
+        ('"scene.ply"', "; did you mean 'scene.ply'?"),
+        ("sub\\scene.ply", "; folders are parted by / here"),
+        ("a\temp.ply", "; escapes like \\t stand in it"),
+        ("$HOME/scene.ply", "; variables are not replaced"),
+        ("https://a.org/scene.ply", "; links are not followed"),
+        ("gone/scene.ply", "gone is not there either"),
+        ("other.las", "other.las does not exist"),
+    ],
+)
+def test_what_a_missing_input_was_meant_to_be(tmp_path: Path, name: str, meant: str) -> None:
+    (tmp_path / "scene.ply").touch()
+    with pytest.raises(StageError, match=re.escape(meant)) as caught:
+        hash_path(tmp_path / name, "[ingest] scene")
+    assert meant != "other.las does not exist" or str(caught.value).endswith(meant)
 
 
 def test_bytes_that_are_no_text_are_no_toml(tmp_path: Path) -> None:
