@@ -9,19 +9,17 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
-from spinpipe.pipeline.drawing import palette, parts
+from spinpipe.pipeline.drawing import courses, palette, parts
 from spinpipe.pipeline.drawing.drawing import CANDIDATE, NOTES, WORLD, Reader
 from spinpipe.pipeline.drawing.eye import diagonal, is_long, object_eye, scene_corners, scene_eye
 from spinpipe.pipeline.drawing.model import model_path, places_in_row
 from spinpipe.pipeline.drawing.photos import photos_of
 from spinpipe.pipeline.drawing.preview import piece_count
-from spinpipe.pipeline.drawing.timelines import STEPS_A_CANDIDATE
 from spinpipe.schemas import MODELS, TILES
 from spinpipe.schemas.records import ObjectModel
 
 Overrides = dict[rr.encodings.EntityPathLike, rr.Points3D | rrb.Visualizer]
 
-_STEPS_SHOWN = 60
 _FILL, _LARGEST = 0.6, 0.015
 """Radius of a point close by, as a share of the spacing and at most of the object."""
 _FAR_RADIUS = -1.5
@@ -66,6 +64,7 @@ def _scene_views(eye: rrb.EyeControls3D, pieces: int) -> list[rrb.Spatial3DView]
         "+ /ground/**",
         "+ /scan/hits/**",
         *marks,
+        "+ /candidate/box",
     ]
     past = rr.VisibleTimeRange(
         "threshold",
@@ -117,7 +116,8 @@ def _candidate(models: Sequence[ObjectModel], near_radius: float, photos: bool) 
         "candidate/points": rr.Points3D.from_fields(radii=-2.0),
         "candidate/surface": rr.Points3D.from_fields(radii=-2.2),
     }
-    explained = [f"+ /candidate/{name}" for name in ("points", "box", "runner_up", "next_model")]
+    shapes = ("points", "box", "runner_up", "next_model", "names")
+    explained = [f"+ /candidate/{name}" for name in shapes]
     surface = ["+ /candidate/surface", "+ /candidate/box"]
     fit = ["+ /ingest/cloud/**", "+ /verify/fit/**", "+ /candidate/runner_up"]
     notes = rrb.TextDocumentView(origin=NOTES, name="Notes")
@@ -125,26 +125,20 @@ def _candidate(models: Sequence[ObjectModel], near_radius: float, photos: bool) 
     return rrb.Vertical(
         rrb.Horizontal(
             rrb.Tabs(
-                _view_3d("Explained or not", explained, CANDIDATE, eye, near, own),
-                _view_3d("Model seen or not", surface, CANDIDATE, eye, near, own),
-                _view_3d("Fit, in the photos' colours", fit, CANDIDATE, eye, near),
+                _view_3d("Explained", explained, CANDIDATE, eye, near, own),
+                _view_3d("Seen", surface, CANDIDATE, eye, near, own),
+                _view_3d("Fit", fit, CANDIDATE, eye, near),
             ),
             rrb.Vertical(photo, notes, row_shares=[5, 6]) if photos else notes,
         ),
         rrb.Horizontal(
+            _chart(parts.PATH, "Its score, part by part", parts.BOUNDS),
             rrb.Spatial2DView(
-                origin=f"/{parts.PATH}",
-                name="Its score, part by part",
-                background=palette.BACKGROUND,
-                visual_bounds=rrb.VisualBounds2D(x_range=parts.BOUNDS[0], y_range=parts.BOUNDS[1]),
+                origin="/candidate/spin", name="Spin images", background=palette.BACKGROUND
             ),
-            rrb.Spatial2DView(origin="/candidate/spin/own", name="Spin image"),
-            rrb.Spatial2DView(origin="/candidate/spin/model", name="Model's"),
-            rrb.Spatial2DView(origin="/candidate/spin/difference", name="More, less"),
-            column_shares=[9, 3, 3, 3],
         ),
         rrb.Tabs(
-            _residuals(),
+            _chart(courses.PATH, "Registration: residual of every start", courses.BOUNDS),
             _histograms([model.name for model in models]),
             rrb.TimeSeriesView(
                 origin="/threshold/counts", name="How many by threshold, log10", axis_x=_all_steps()
@@ -206,22 +200,20 @@ def _histograms(models: Sequence[str]) -> rrb.Tabs | rrb.Horizontal:
     return rrb.Tabs(*views, name="Correlations")
 
 
+def _chart(
+    path: str, name: str, bounds: tuple[tuple[float, float], tuple[float, float]]
+) -> rrb.Spatial2DView:
+    return rrb.Spatial2DView(
+        origin=f"/{path}",
+        name=name,
+        background=palette.BACKGROUND,
+        visual_bounds=rrb.VisualBounds2D(x_range=bounds[0], y_range=bounds[1]),
+    )
+
+
 def _all_steps() -> rrb.TimeAxis:
     return rrb.TimeAxis(
         view_range=rr.TimeRange(
             start=rr.TimeRangeBoundary.absolute(seq=0), end=rr.TimeRangeBoundary.absolute(seq=100)
         )
-    )
-
-
-def _residuals() -> rrb.TimeSeriesView:
-    near = rr.TimeRange(
-        start=rr.TimeRangeBoundary.cursor_relative(seq=-_STEPS_SHOWN // 2),
-        end=rr.TimeRangeBoundary.cursor_relative(seq=min(_STEPS_SHOWN, STEPS_A_CANDIDATE)),
-    )
-    return rrb.TimeSeriesView(
-        contents=["+ /verify/rms/**"],
-        name="Registration: residual of every start in m, step by step",
-        axis_x=rrb.TimeAxis(view_range=near),
-        plot_legend=rrb.PlotLegend(visible=False),
     )

@@ -6,7 +6,7 @@ call an entity: a scene has hundreds of candidates.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,12 +15,15 @@ from numpy.typing import NDArray
 
 from spinpipe.pipeline.drawing import palette
 from spinpipe.pipeline.drawing.closeup import Closeup, closeups
+from spinpipe.pipeline.drawing.courses import draw_courses, draw_cursor
 from spinpipe.pipeline.drawing.drawing import CANDIDATE, STAGE_NUMBER, Reader, place
+from spinpipe.pipeline.drawing.fits import Fit
 from spinpipe.pipeline.drawing.model import model_bounds
 from spinpipe.pipeline.drawing.parts import draw_parts
 from spinpipe.pipeline.drawing.timelines import candidate_step
 from spinpipe.schemas import MODELS, SPIN_IMAGES
 from spinpipe.schemas.arrays import F32, F64, U8
+from spinpipe.schemas.colormap import viridis
 from spinpipe.schemas.records import Detection
 from spinpipe.stages.geometry.frames import heading_quaternion
 
@@ -34,25 +37,36 @@ SIGHT_COLOURS = np.array([palette.SEEN, palette.CONTRADICTED, palette.NOT_OBSERV
 
 
 def draw_candidates(
-    read: Reader, rec: rr.RecordingStream, ranked: Sequence[Detection], preview_points: int
+    read: Reader,
+    rec: rr.RecordingStream,
+    ranked: Sequence[Detection],
+    fits: Sequence[Fit],
+    preview_points: int,
 ) -> None:
-    """Log points, surface, outlines and spin images of candidates, the best one first."""
+    """Log points, surface, outlines, parts, registration and spin images of candidates.
+
+    The first of them is also what is shown on the other timelines once the run has ended.
+    """
     if not ranked:
         return
     points = int(np.clip(preview_points // len(ranked), FEWEST_POINTS, MOST_POINTS))
     looks = list(closeups(read, ranked, points))
     looks.sort(key=lambda look: look.detection.id)
-    for path in ("points", "surface", "box", "runner_up", "next_model"):
+    for path in ("points", "surface", "box", "runner_up", "next_model", "names"):
         place(rec, f"{ROOT}/{path}", CANDIDATE)
     steps = [candidate_step(look.detection.id) for look in looks]
     sizes = {m.name: np.ptp(model_bounds(m), axis=0) for m in read(MODELS)}
     spins = {i.model: i.values for i in read(SPIN_IMAGES) if i.role == "model"}
     best = next(look for look in looks if look.detection.id == ranked[0].id)
-    for timeline, at, shown in (
-        ("stage", [STAGE_NUMBER["verify"]], [best]),
-        ("candidate", steps, looks),
+    fit_of = {fit.detection.id: fit for fit in fits}
+    first = [
+        rr.TimeColumn("stage", sequence=[STAGE_NUMBER["verify"]]),
+        rr.TimeColumn("threshold", sequence=[0]),
+    ]
+    for index, shown in (
+        (first, [best]),
+        ([rr.TimeColumn("candidate", sequence=steps)], looks),
     ):
-        index = [rr.TimeColumn(timeline, sequence=at)]
         what = [WHAT_COLOURS[c.what] for c in shown]
         _points(rec, "points", index, [c.xyz for c in shown], what)
         sight = [SIGHT_COLOURS[c.sight] for c in shown]
@@ -60,11 +74,11 @@ def draw_candidates(
         _boxes(rec, "box", index, [_own_box(c.detection) for c in shown])
         _boxes(rec, "runner_up", index, [_runner_up(c.detection) for c in shown])
         _boxes(rec, "next_model", index, [_next_model(c.detection, sizes) for c in shown])
+        _names(rec, index, [c.detection for c in shown])
         draw_parts(rec, index, [c.detection for c in shown])
-        for step, look in zip(at, shown, strict=True):
-            rec.reset_time()
-            rec.set_time(timeline, sequence=step)
-            _spin_images(rec, look, spins.get(look.detection.model))
+        draw_courses(rec, index, [fit_of[c.detection.id] for c in shown])
+        _spin_images(rec, index, shown, spins)
+    draw_cursor(rec, [fit_of[c.detection.id] for c in looks])
 
 
 def _points(
@@ -79,8 +93,8 @@ def _points(
     rec.send_columns(f"{ROOT}/{name}", indexes=index, columns=columns.partition(lengths))
 
 
-_Box = tuple[F64, float, str, palette.Colour]
-"""Size (3,), turn about z in degrees, label and colour; a size of zero hides it."""
+_Box = tuple[F64, float, palette.Colour]
+"""Size (3,), turn about z in degrees and colour; a size of zero hides it."""
 
 
 def _boxes(
@@ -92,19 +106,15 @@ def _boxes(
         centers=size * (0, 0, 0.5),
         half_sizes=size / 2,
         quaternions=heading_quaternion([box[1] for box in boxes]),
-        colors=np.array([box[3][:3] for box in boxes], np.uint8),
+        colors=np.array([box[2][:3] for box in boxes], np.uint8),
         radii=np.where(hidden, 0.0, -1.2 if name == "box" else -0.8),
         fill_mode=[rr.components.FillMode.MajorWireframe] * len(boxes),
-        labels=[box[2] for box in boxes],
-        # what it is itself stands in the notes
-        show_labels=[name != "box" and bool(size.any()) for size, *_ in boxes],
     )
     rec.send_columns(f"{ROOT}/{name}", indexes=index, columns=columns)
 
 
 def _own_box(d: Detection) -> _Box:
-    colour = palette.fate_colour(d.fate)
-    return np.asarray(d.size_m), 0.0, f"{d.id} {d.model} {d.score:.2f}", colour
+    return np.asarray(d.size_m), 0.0, palette.fate_colour(d.fate)
 
 
 def _runner_up(d: Detection) -> _Box:
@@ -112,34 +122,90 @@ def _runner_up(d: Detection) -> _Box:
     exists = np.isfinite(d.runner_up_rms_m)
     size = np.asarray(d.size_m) * (0.98 if exists else 0.0)
     turn = d.runner_up_heading_deg - d.heading_deg if exists else 0.0
-    return size, turn, f"runner-up {d.runner_up_heading_deg:.0f}°" if exists else "", palette.MARK
+    return size, turn, palette.MARK
 
 
 def _next_model(d: Detection, sizes: dict[str, F64]) -> _Box:
     """The next best model as it is, unstretched, at the same place."""
     size = sizes.get(d.alternative)
     if size is None:
-        return np.zeros(3), 0.0, "", palette.PALE
-    return size, 0.0, f"{d.alternative} {d.score - d.alternative_margin:.2f}", palette.HIT
+        return np.zeros(3), 0.0, palette.PALE
+    return size, 0.0, palette.HIT
 
 
-def _spin_images(rec: rr.RecordingStream, look: Closeup, model: F32 | None) -> None:
-    """Its own image, the model's and their difference, each as shares of all points."""
-    if model is None or model.shape != look.spin.shape:
-        rec.log(f"{ROOT}/spin", rr.Clear(recursive=True))
-        return
-    own, right = (image / max(float(image.sum()), 1.0) for image in (look.spin, model))
-    most = max(float(own.max()), float(right.max()), 1e-9)
-    for name, image in (("own", own), ("model", right)):
-        shape = rr.DepthImage(
-            image.astype(np.float32),
-            colormap="viridis",
-            depth_range=(0.0, most),
-            magnification_filter="nearest",
+def _names(
+    rec: rr.RecordingStream, index: list[rr.TimeColumn], detections: Sequence[Detection]
+) -> None:
+    """Name the outlines: the heading above the box, the model below it, one clear of the other."""
+    every: list[list[tuple[float, str, palette.Colour]]] = []
+    for d in detections:
+        own: list[tuple[float, str, palette.Colour]] = []
+        if np.isfinite(d.runner_up_rms_m):
+            name = f"runner-up {d.runner_up_heading_deg:.0f}°"
+            own.append((1.6 * d.size_m[2], name, palette.MARK))
+        if d.alternative:
+            name = f"{d.alternative} {d.score - d.alternative_margin:.2f}"
+            own.append((-0.9 * d.size_m[2], name, palette.HIT))
+        every.append(own)
+    flat = [named for own in every for named in own]
+    columns = rr.Points3D.columns(
+        positions=np.array([(0, 0, z) for z, *_ in flat], np.float32).reshape(-1, 3),
+        labels=[name for _, name, _ in flat],
+        colors=np.array([colour[:3] for *_, colour in flat], np.uint8).reshape(-1, 3),
+        radii=np.full(len(flat), -0.1),
+    )
+    counts = [len(own) for own in every]
+    rec.send_columns(f"{ROOT}/names", indexes=index, columns=columns.partition(counts))
+
+
+def _spin_images(
+    rec: rr.RecordingStream,
+    index: list[rr.TimeColumn],
+    looks: Sequence[Closeup],
+    models: Mapping[str, F32],
+) -> None:
+    """Log its own image, the model's and their difference side by side, a row a candidate."""
+    pictures = [_side_by_side(look.spin, models.get(look.detection.model)) for look in looks]
+    shapes = [
+        rr.components.ImageFormat(
+            width=p.shape[1], height=p.shape[0], color_model="RGB", channel_datatype="U8"
         )
-        rec.log(f"{ROOT}/spin/{name}", shape)
-    shape = rr.Image(signed_colours((own - right) / most), magnification_filter="nearest")
-    rec.log(f"{ROOT}/spin/difference", shape)
+        for p in pictures
+    ]
+    rec.send_columns(
+        f"{ROOT}/spin/images",
+        indexes=index,
+        columns=rr.Image.columns(buffer=[p.tobytes() for p in pictures], format=shapes),
+    )
+    names = [name for p in pictures if p.size > 3 for name in ("its own", "model's", "difference")]
+    middles = [
+        (p.shape[1] * (2 * i + 1) / 6, p.shape[0]) for p in pictures if p.size > 3 for i in range(3)
+    ]
+    texts = rr.Points2D.columns(
+        positions=np.array(middles, np.float32).reshape(-1, 2),
+        labels=names,
+        radii=np.zeros(len(names)),
+        colors=np.tile(np.array(palette.WHITE, np.uint8), (len(names), 1)),
+    )
+    shown = [3 * (p.size > 3) for p in pictures]
+    rec.send_columns(f"{ROOT}/spin/names", indexes=index, columns=texts.partition(shown))
+
+
+def _side_by_side(spin: F32, model: F32 | None) -> U8:
+    """Shares of all points (H, 3 W + 2, 3); one dark pixel where there is no image."""
+    if model is None or model.shape != spin.shape:
+        return np.full((1, 1, 3), palette.BACKGROUND, np.uint8)
+    own, right = (image / max(float(image.sum()), 1.0) for image in (spin, model))
+    most = max(float(own.max()), float(right.max()), 1e-9)
+    gap = np.full((len(own), 1, 3), palette.BACKGROUND, np.uint8)
+    pictures = (
+        viridis(own, 0.0, most),
+        gap,
+        viridis(right, 0.0, most),
+        gap,
+        signed_colours((own - right) / most),
+    )
+    return np.hstack(pictures)
 
 
 def signed_colours(values: NDArray[Any]) -> U8:

@@ -23,7 +23,7 @@ from spinpipe.pipeline.drawing.model import (
     pose_of,
 )
 from spinpipe.pipeline.drawing.timelines import STEPS_A_CANDIDATE, candidate_step
-from spinpipe.schemas.arrays import F32, F64
+from spinpipe.schemas.arrays import F64
 from spinpipe.schemas.records import Detection, FitTrace, ObjectModel
 from spinpipe.stages.geometry.frames import rotation_quaternion
 
@@ -140,45 +140,3 @@ def _draw_model(rec: rr.RecordingStream, fits: Sequence[Fit], model: ObjectModel
         translations=T[:, :3, 3], quaternions=rotation_quaternion(T), scales=scales
     )
     rec.send_columns(path, indexes=[rr.TimeColumn("candidate", sequence=steps)], columns=columns)
-
-
-def draw_rms(rec: rr.RecordingStream, fits: Sequence[Fit]) -> None:
-    """Log the residual of every start over the steps, broken off between candidates."""
-    traced = [fit for fit in fits if fit.trace is not None]
-    if not traced:
-        return
-    starts = max(fit.trace.rms_m.shape[0] for fit in traced if fit.trace is not None)
-    steps = np.concatenate([fit.steps for fit in traced])
-    curves = np.concatenate([_curves(fit, starts) for fit in traced])
-    best = np.fmin.reduce(curves, axis=1)
-    for path, rows, colours, width in (
-        ("verify/rms/starts", curves, palette.series(starts), 1.0),
-        ("verify/rms/best", best[:, None], np.array([palette.WHITE]), 2.5),
-    ):
-        rec.log(
-            path,
-            rr.SeriesLines(
-                colors=colours,
-                widths=np.full(rows.shape[1], width),
-                names=[f"start {i}" for i in range(starts)] if rows is curves else "best",
-            ),
-            # a method that tells only how each start ended has no lines to draw
-            rr.SeriesPoints(colors=colours, marker_sizes=np.full(rows.shape[1], 1.5 * width)),
-            static=True,
-        )
-        rec.send_columns(
-            path,
-            indexes=[rr.TimeColumn("candidate", sequence=steps)],
-            columns=rr.Scalars.columns(scalars=rows.reshape(-1)).partition(
-                np.full(len(rows), rows.shape[1])
-            ),
-        )
-
-
-def _curves(fit: Fit, starts: int) -> F32:
-    """(P, starts) residuals in metres at the fit's steps, NaN where there is none."""
-    curves = np.full((len(fit.poses), starts), np.nan, np.float32)
-    if fit.trace is not None:
-        rms = fit.trace.rms_m.T[: len(curves) - 2]
-        curves[1 : len(rms) + 1, : rms.shape[1]] = rms
-    return curves

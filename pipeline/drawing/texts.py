@@ -34,7 +34,7 @@ def candidate_text(d: Detection) -> str:
     x, y, z = d.position_scene
     fate = f"duplicate of {d.duplicate_of}" if d.fate == "duplicate" else d.fate
     lines = [
-        f"## Candidate {d.id}: {d.model} {fate}",
+        f"### Candidate {d.id}: {d.model} {fate}",
         f"**{d.reason}**" + (f" (cause: {d.cause})" if d.cause else ""),
         "",
         f"x_scene {x:.2f}, y_scene {y:.2f}, z_scene {z:.2f}; heading_world {d.heading_deg:.0f}°, "

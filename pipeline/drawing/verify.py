@@ -17,7 +17,6 @@ from spinpipe.pipeline.drawing.eye import label_rows
 from spinpipe.pipeline.drawing.fits import (
     draw_fits,
     draw_pose,
-    draw_rms,
     draw_shapes,
     first_steps,
     order_fits,
@@ -30,6 +29,8 @@ from spinpipe.schemas.records import Detection
 
 CLOSE_UP = 600
 """Candidates that are looked at closely."""
+BOXED, DOT_RADIUS = 150, -2.0
+"""Most boxes of one fate that lost; radius of a dot instead, on the screen."""
 _LEDGER = (
     *("fate", "score", "model", "reason", "correlation", "rms_m", "coverage_model"),
     *("coverage_scene", "heading_margin", "cause", "duplicate_of", "log_odds"),
@@ -47,7 +48,10 @@ def draw(
     at_stage(rec, "verify")
     for fate in palette.FATES:
         group = [d for d in detections if d.fate == fate][:preview_points]
-        _draw_boxes(rec, fate, group)
+        if fate in palette.KEPT or len(group) <= BOXED:
+            _draw_boxes(rec, fate, group)
+        else:
+            _draw_dots(rec, fate, group)
     _draw_labels(read, rec, detections)
     note(rec, outcome_text(detections))
     if not detections:
@@ -57,10 +61,9 @@ def draw(
     ranked = worth_a_look(detections, CLOSE_UP)
     close = {d.id for d in ranked}
     fits = order_fits(detections, [trace for trace in read(TRACES) if trace.cluster in close])
-    draw_rms(rec, fits)
     draw_fits(rec, fits, models)
     clear_stale(rec, CLOSE, detections, close)
-    draw_candidates(read, rec, ranked, preview_points)
+    draw_candidates(read, rec, ranked, fits, preview_points)
     draw_candidate_photos(read, rec, ranked)
     rec.send_columns(
         NOTES,
@@ -87,7 +90,7 @@ def _draw_boxes(rec: rr.RecordingStream, fate: str, detections: Sequence[Detecti
             colors=palette.FATES[fate],
             radii=-1.2 if kept else -0.5,
             fill_mode="MajorWireframe",
-            labels=[f"{d.id} {d.model} {d.score:.2f}: {d.reason}" for d in detections],
+            labels=_texts(detections),
             show_labels=False,
         ),
         WORLD,
@@ -105,6 +108,22 @@ def _draw_boxes(rec: rr.RecordingStream, fate: str, detections: Sequence[Detecti
         ),
         WORLD,
     )
+
+
+def _draw_dots(rec: rr.RecordingStream, fate: str, detections: Sequence[Detection]) -> None:
+    """A dot each: boxes of thousands would hide the scene."""
+    dots = rr.Points3D(
+        boxes_of(detections).tops,
+        colors=palette.FATES[fate],
+        radii=DOT_RADIUS,
+        labels=_texts(detections),
+        show_labels=False,
+    )
+    put(rec, f"verify/{fate}", dots, WORLD)
+
+
+def _texts(detections: Sequence[Detection]) -> list[str]:
+    return [f"{d.id} {d.model} {d.score:.2f}: {d.reason}" for d in detections]
 
 
 def _draw_labels(read: Reader, rec: rr.RecordingStream, detections: Sequence[Detection]) -> None:

@@ -61,7 +61,7 @@ def test_entities_are_named_after_stages_and_topics(recording: Path) -> None:
         "/cluster/candidate",
         *(f"/verify/{fate}" for fate in FATES),
         "/verify/fit/saloon",
-        "/verify/rms/starts",
+        "/candidate/registration/residuals",
         "/verify/ledger",
         "/notes",
     } <= paths

@@ -23,6 +23,7 @@ from tests.unit.pipeline.drawn import (
 )
 
 from spinpipe.pipeline.drawing import palette
+from spinpipe.pipeline.drawing.courses import HEIGHT, WIDTH
 from spinpipe.pipeline.drawing.drawing import STAGE_NUMBER
 from spinpipe.pipeline.drawing.parts import LENGTH
 from spinpipe.pipeline.drawing.photos import Photo
@@ -32,11 +33,13 @@ from spinpipe.pipeline.drawing.recording import (
     record_stage,
 )
 from spinpipe.pipeline.drawing.threshold import Truth
+from spinpipe.pipeline.drawing.verify import BOXED
 from spinpipe.schemas import (
     CALIBRATIONS,
     CAMERAS,
     DETECTIONS,
     SCENE,
+    SPIN_IMAGES,
     TRACES,
     UPRIGHT,
 )
@@ -56,17 +59,23 @@ def test_a_candidate_is_joined_with_the_steps_of_its_registration(recording: Pat
     # candidates 0 and 2 were traced, 1 shows its reported pose only, as another model
     walked = range(ITERATIONS + 2)
     assert steps == [*walked, 1000, *(2000 + i for i in walked)]
-    rms = chunks(recording, "/verify/rms/starts", static=False)
-    assert column(rms, "candidate") == [i for i in steps if i != 1000]
-    assert all(len(row) == STARTS for row in column(rms, "Scalars:scalars"))
+    cursor = chunks(recording, "/candidate/registration/now", static=False)
+    assert column(cursor, "candidate") == steps
+    places = [row[0][0][0] for row in column(cursor, "LineStrips2D:strips")]
+    walk = np.linspace(0, WIDTH, ITERATIONS)
+    expected = [WIDTH, *walk, WIDTH]  # as reported, on its way, as reported
+    assert places == pytest.approx([*expected, 0, *expected])
 
 
 def test_every_candidate_has_its_surroundings_explained(recording: Path) -> None:
     steps = [0, 1000, 2000]
-    for path in ("points", "surface", "box", "runner_up", "next_model"):
+    own = ("points", "surface", "box", "runner_up", "next_model", "names")
+    for path in (*own, "parts/bars", "spin/images", "registration/residuals"):
         found = chunks(recording, f"/candidate/{path}", static=False)
         assert [s for s in column(found, "candidate") if s is not None] == steps
-        assert column(found, "stage") == [STAGE_NUMBER["verify"]]  # of the best
+        # of the best: no pane is empty on the other timelines
+        assert column(found, "stage") == [STAGE_NUMBER["verify"]]
+        assert column(found, "threshold") == [0]
     sight = column(chunks(recording, "/candidate/surface"), "Points3D:colors")
     points = column(chunks(recording, "/candidate/points"), "Points3D:positions")
     assert all(len(row) for row in sight)
@@ -156,12 +165,22 @@ def test_a_wide_lens_bends_as_opencv_says() -> None:
 
 
 def test_own_spin_image_stands_beside_the_model_s(recording: Path) -> None:
-    for name in ("own", "model", "difference"):
-        found = chunks(recording, f"/candidate/spin/{name}", static=False)
-        steps = [s for s in column(found, "candidate") if s is not None]
-        assert 0 in steps
-    own = column(chunks(recording, "/candidate/spin/own"), "DepthImage:format")
-    assert own[0][0]["width"] == 5
+    found = chunks(recording, "/candidate/spin/images", static=False)
+    (model,) = (
+        i.values for i in make_run()(SPIN_IMAGES) if (i.role, i.model) == ("model", "saloon")
+    )
+    height, width = model.shape
+    form, data = (column(found, f"Image:{name}")[0][0] for name in ("format", "buffer"))
+    assert (form["width"], form["height"]) == (3 * width + 2, height)
+    own, _, right, _, difference = np.split(
+        np.array(data, np.uint8).reshape(height, -1, 3),
+        [width, width + 1, 2 * width + 1, 2 * width + 2],
+        axis=1,
+    )
+    same = (own == right).all(axis=2)
+    assert (difference[same] == 255).all()
+    names = column(chunks(recording, "/candidate/spin/names", static=False), "Points2D:labels")
+    assert names[0] == ["its own", "model's", "difference"]
 
 
 def test_the_threshold_brings_what_reaches_it(recording: Path) -> None:
@@ -203,11 +222,30 @@ def test_labels_of_kept_ones_do_not_hide_each_other(tmp_path: Path) -> None:
     assert labels == ["0"]
 
 
-def test_best_curve_follows_the_lowest_start_and_breaks_off(recording: Path) -> None:
-    best = np.array(column(chunks(recording, "/verify/rms/best", static=False), "Scalars:scalars"))
-    expected = np.nanmin(make_run()(TRACES)[0].rms_m, axis=0)
-    np.testing.assert_allclose(best[1 : ITERATIONS + 1, 0], expected)
-    assert np.isnan(best[ITERATIONS + 1, 0])
+def test_the_chart_shows_every_start_and_the_lowest_of_them(recording: Path) -> None:
+    found = chunks(recording, "/candidate/registration/residuals", static=False)
+    rows = column(found, "LineStrips2D:strips")
+    rms = make_run()(TRACES)[0].rms_m
+    low, high = np.nanmin(rms), np.nanmax(rms)
+    *starts, best = (np.array(strip) for strip in rows[0])
+    assert [len(start) for start in starts] == np.isfinite(rms).sum(axis=1).tolist()
+    np.testing.assert_allclose(
+        high - best[:, 1] * (high - low) / HEIGHT, np.nanmin(rms, axis=0), rtol=1e-5
+    )
+    assert [len(row) for row in rows] == [STARTS + 1] * 2 + [0, STARTS + 1]  # 1 was not traced
+    numbers = column(chunks(recording, "/candidate/registration/numbers"), "Points2D:labels")
+    assert numbers[0] == [f"{high:.3f} m", f"{low:.3f} m", f"{ITERATIONS} steps"]
+
+
+def test_thousands_that_lost_do_not_hide_the_scene(tmp_path: Path) -> None:
+    lost = [
+        replace(make_detection(0, "saloon", "rejected"), id=i, cluster=i) for i in range(BOXED + 1)
+    ]
+    path = draw(tmp_path / "run.rrd", make_run().with_messages(DETECTIONS, lost))
+    found = chunks(path, "/verify/rejected", static=False)
+    assert "Boxes3D:half_sizes" not in found[0].to_record_batch().schema.names
+    (labels,) = column(found, "Points3D:labels")
+    assert labels[0].startswith("0 saloon 0.50: rejected for a reason")
 
 
 def test_ledger_holds_every_candidate_with_its_reason(recording: Path) -> None:
