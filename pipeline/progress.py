@@ -43,13 +43,16 @@ class Counter:
 class StageProgress:
     """The bars of one stage."""
 
-    def __init__(self, bars: Progress, stage: str) -> None:
+    def __init__(self, bars: Progress, stage: str, compilation: _Compilation) -> None:
         self._bars = bars
         self._stage = stage
+        self._compilation = compilation
 
     def start(self, label: str, total: int) -> Counter:
         """Begin a counter with ``total`` steps."""
-        return Counter(self._bars, self._bars.add_task(label, total=total, stage=self._stage))
+        compiled_s = self._compilation.seconds
+        task = self._bars.add_task(label, total=total, stage=self._stage, compiled_s=compiled_s)
+        return Counter(self._bars, task)
 
 
 @contextmanager
@@ -76,7 +79,7 @@ def stage_progress(console: Console, stage: str) -> Generator[StageProgress]:
         if not console.is_terminal:
             teller.start()
         try:
-            yield StageProgress(bars, stage)
+            yield StageProgress(bars, stage, compilation)
         finally:
             ended.set()
             if teller.is_alive():
@@ -100,7 +103,8 @@ def _tell(
             if not task.finished and task.total:
                 text += f"; {task.description} {task.completed / task.total:.0%}"
                 if task.completed and task.elapsed and not compilation.doing:
-                    left = task.elapsed * (task.total / task.completed - 1)
+                    compiled_s = compilation.seconds - task.fields["compiled_s"]
+                    left = (task.elapsed - compiled_s) * (task.total / task.completed - 1)
                     text += f", {left:.0f} s left"
         console.print(text, highlight=False)
 
@@ -115,6 +119,9 @@ class _Compilation(event.Listener):
         self._task: TaskID | None = None
         self._kernels = 0
         self._under_way = 0
+        self._began = 0.0
+        self.seconds = 0.0
+        """Spent so far: no measure of what is left to do."""
         self.doing = ""
         """In words; empty while nothing is compiled."""
 
@@ -125,6 +132,8 @@ class _Compilation(event.Listener):
             self._console.print(text, highlight=False)
             self._task = self._bars.add_task("", total=None, stage=self._stage)
         self._kernels += 1
+        if not self._under_way:
+            self._began = time.monotonic()
         self._under_way += 1
         name = event.data["dispatcher"].py_func.__name__ if event.data else "kernel"
         self.doing = f"compiling kernel {self._kernels}, {name.lstrip('_')}"
@@ -135,4 +144,5 @@ class _Compilation(event.Listener):
         self._under_way -= 1
         if not self._under_way and self._task is not None:
             self.doing = ""
+            self.seconds += time.monotonic() - self._began
             self._bars.update(self._task, visible=False)

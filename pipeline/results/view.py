@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +17,9 @@ from spinpipe.pipeline.results.complete import open_run_folder
 from spinpipe.pipeline.results.life import find_detection
 from spinpipe.schemas import DETECTIONS
 from spinpipe.stages.stage import StageError
+
+WEB_PORT, DATA_PORT = 9090, 9876
+"""Rerun's defaults."""
 
 
 def view_command(path: Path, candidate: int | None, web: bool) -> None:
@@ -35,13 +39,29 @@ def view_command(path: Path, candidate: int | None, web: bool) -> None:
 
 
 def _serve(viewer: str, recording: Path, candidate: int | None) -> None:
+    """Serve on Rerun's own ports, on others where somebody else serves there."""
+    web, data = _free_port(WEB_PORT), _free_port(DATA_PORT)
     if candidate is not None:
         text = f"go to step {candidate_step(candidate)} of the timeline 'candidate'"
         Console().print(text, highlight=False)
+    Console().print(f"serving at http://127.0.0.1:{web} until Ctrl-C", highlight=False)
     try:
-        subprocess.run([viewer, "--web-viewer", str(recording)], check=True)
+        ports = (f"--web-viewer-port={web}", f"--port={data}")
+        subprocess.run([viewer, "--web-viewer", *ports, str(recording)], check=True)
     except subprocess.CalledProcessError as error:
         raise StageError(f"the viewer ended with code {error.returncode}") from None
+
+
+def _free_port(wanted: int) -> int:
+    for port in (wanted, 0):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind(("", port))
+            except OSError:
+                continue
+            return int(probe.getsockname()[1])
+    raise StageError("no port is free to serve the recording on")
 
 
 def _open(viewer: str, recording: Path, candidate: int | None) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -16,9 +17,7 @@ from rerun.chunk import RrdReader
 from tests.conftest import Cli, YardRun
 
 from spinpipe.pipeline.drawing.recording import find_viewer
-
-WEB_PORT = 9090
-"""Rerun's default."""
+from spinpipe.pipeline.results.view import WEB_PORT
 
 
 def test_view_says_what_is_missing(
@@ -39,22 +38,31 @@ def test_view_says_what_is_missing(
 
 
 def test_view_serves_the_recording_to_a_browser(cli: Cli, yard_run: YardRun) -> None:
-    with socket.socket() as probe:
-        if probe.connect_ex(("127.0.0.1", WEB_PORT)) == 0:
-            pytest.skip("somebody else serves a recording here")
+    """Also while somebody else holds Rerun's own ports."""
     assert cli("record", yard_run.output).code == 0
-    process = subprocess.Popen(
-        [Path(sys.executable).with_name("spinpipe"), "view", yard_run.output, "--web"],
-        env={**os.environ, "BROWSER": "true"},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+    with socket.socket() as taken:
+        try:
+            taken.bind(("", WEB_PORT))
+            taken.listen()
+        except OSError:
+            pass  # by somebody else indeed
+        process = subprocess.Popen(
+            [Path(sys.executable).with_name("spinpipe"), "view", yard_run.output, "--web"],
+            env={**os.environ, "BROWSER": "true"},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+            text=True,
+        )
+        assert process.stdout is not None
+        said = process.stdout.readline()
     try:
+        (address,) = re.findall(r"http://[\d.:]+", said)
+        assert not address.endswith(f":{WEB_PORT}")
         page, deadline = b"", time.monotonic() + 60
         while not page and time.monotonic() < deadline and process.poll() is None:
             try:
-                page = urlopen(f"http://127.0.0.1:{WEB_PORT}", timeout=5).read()
+                page = urlopen(address, timeout=5).read()
             except OSError:
                 time.sleep(0.3)
         assert b"<title>Rerun" in page
