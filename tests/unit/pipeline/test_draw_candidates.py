@@ -238,9 +238,7 @@ def test_the_chart_shows_every_start_and_the_lowest_of_them(recording: Path) -> 
 
 
 def test_thousands_that_lost_do_not_hide_the_scene(tmp_path: Path) -> None:
-    lost = [
-        replace(make_detection(0, "saloon", "rejected"), id=i, cluster=i) for i in range(BOXED + 1)
-    ]
+    lost = [replace(make_detection(0, "saloon", "rejected"), id=i) for i in range(BOXED + 1)]
     path = draw(tmp_path / "run.rrd", make_run().with_messages(DETECTIONS, lost))
     found = chunks(path, "/verify/rejected", static=False)
     assert "Boxes3D:half_sizes" not in found[0].to_record_batch().schema.names
