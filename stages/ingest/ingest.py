@@ -13,7 +13,7 @@ from spinpipe.schemas import CALIBRATIONS, CAMERAS, CLOUD, SCENE, TILES, TRAJECT
 from spinpipe.schemas.arrays import F32
 from spinpipe.schemas.records import CloudTile, SceneFrame, TileIndex, Vector
 from spinpipe.stages.geometry.columns import extremes
-from spinpipe.stages.ingest.known_scale import ScaleFrom, known_scale
+from spinpipe.stages.ingest.known_scale import ScaleFrom, gps_says, known_scale
 from spinpipe.stages.ingest.odometry import Odometry, registered
 from spinpipe.stages.ingest.point_blocks import to_local
 from spinpipe.stages.ingest.readers.mcap import McapSource
@@ -101,6 +101,9 @@ class Ingest:
                 config.scale_from, source.about.cameras, config.photos, config.scene
             )
             ctx.log(note)
+        by_gps, cameras = "", source.about.cameras
+        if stated is None and said.metres is None and cameras is not None and photos is not None:
+            by_gps = gps_says(cameras, photos)
         scale = scale_of(stated, said, config.scene)
         require_on_earth(found, scale, config.scene)
         spacing_m = found.spacing(scale)
@@ -114,6 +117,7 @@ class Ingest:
             unlikely,
             scale_note(stated, said),
             stretched if stated is None else "",
+            by_gps,
             f"odd: {steps}" if steps else "",
         ):
             if note:
@@ -143,7 +147,6 @@ class Ingest:
         frame = replace(frame, points=points, duplicates=frame.points - points)
         ctx.write(TILES, index)
         ctx.write(SCENE, frame)
-        cameras = source.about.cameras
         if cameras is not None:
             local = (cameras.positions - np.array(frame.origin)) * np.array(frame.scale)
             ctx.write(CAMERAS, replace(cameras, positions=local))

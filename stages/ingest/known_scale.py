@@ -163,6 +163,23 @@ def _by_gps(cameras: Cameras, photos: Path) -> KnownScale:
     return KnownScale(scale, f"{scale:.6g} m a unit (± {error:.2%}) by {said}")
 
 
+def gps_says(cameras: Cameras, photos: Path) -> str:
+    """What the GPS of photos says where a unit is taken for a metre; empty where it says nothing.
+
+    A model that was aligned to GPS about its first photo looks like one that never was.
+    """
+    try:
+        found = known_scale(ScaleFrom(gps=True), cameras, photos, photos)
+    except StageError:
+        return ""
+    if abs(found.scale - 1) < _MOST_ERROR:
+        return f"a unit is a metre, as the photos say: {found.note}"
+    return (
+        f"odd: a unit is taken for a metre, but the photos say {found.note}; set "
+        f"[ingest.scale_from] gps = true and [ingest] photos = '{photos}'"
+    )
+
+
 def gps_of(photo: Path) -> Vector | None:
     """Longitude and latitude in degrees and height in metres by EXIF; None where it has none."""
     from PIL import Image, UnidentifiedImageError

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -16,6 +17,7 @@ import pytest
 from plyfile import PlyData, PlyElement
 from pydantic import ValidationError
 from rich.console import Console
+from tests.unit.ingest.test_known_scale import M_A_DEGREE, photo
 
 from spinpipe.pipeline.context import RunContext, RunReader
 from spinpipe.pipeline.engine import LocalEngine
@@ -245,6 +247,26 @@ def test_photos_are_found_beside_the_model(tmp_path: Path, shared_data: Path) ->
     assert open_scene(sparse).about.photos == tmp_path / "images"
     read, _ = ingest(tmp_path / "run", sparse, photos=tmp_path)
     assert read(SCENE)[0].photos == str(tmp_path), "what is stated goes before"
+
+
+@pytest.mark.parametrize(
+    ("metres", "said"),
+    [(1.0, "a unit is a metre, as the photos say"), (0.3, r"odd: .* say 0\.29?3?\d+ m a unit")],
+)
+def test_photos_tell_whether_a_model_is_in_metres(
+    tmp_path: Path, shared_data: Path, metres: float, said: str
+) -> None:
+    """Aligned to GPS or not, a model near zero looks alike."""
+    sparse = shared_data / "brighton" / "colmap_sparse"
+    cameras = open_scene(sparse).about.cameras
+    assert cameras is not None
+    east, north, up = cameras.positions.T * metres
+    for i, name in enumerate(cameras.names):
+        photo(tmp_path / name, 8 + east[i] / M_A_DEGREE, north[i] / M_A_DEGREE, 60 + up[i])
+    _, notes = ingest(tmp_path / "run", sparse, photos=tmp_path)
+    assert any(re.search(said, note) for note in notes), notes
+    _, notes = ingest(tmp_path / "stated", sparse, photos=tmp_path, scale=1.0)
+    assert not any("photos say" in note for note in notes)
 
 
 def test_a_known_distance_gives_the_scale(tmp_path: Path, shared_data: Path) -> None:
