@@ -27,7 +27,7 @@ from spinpipe.pipeline.drawing.threshold import Truth, draw_threshold
 from spinpipe.schemas import DETECTIONS, MODELS, TRACES
 from spinpipe.schemas.records import Detection
 
-CLOSE_UP = 300
+CLOSE_UP = 250
 """Candidates that are looked at closely."""
 BOXED, DOT_RADIUS = 150, -2.0
 """Most boxes of one fate that lost; radius of a dot instead, on the screen."""
