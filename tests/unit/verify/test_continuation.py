@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from spinpipe.stages.verify.decide.continuation import (
     explained_sides,
     first_continuing,
     fits_farther_on,
 )
+from spinpipe.stages.verify.evidence.outline import SIDES
 
 SIZE = np.array([[2.0, 1.0, 0.8]])
 FIT = np.array([[3.0, 4.0, 0.0, np.pi / 2]])
@@ -19,6 +21,21 @@ ON_ITS_LEFT = np.array([[3.0 - 1.2, 4.0, 0.0, np.pi / 2]])
 def test_an_instance_beside_a_fit_explains_that_side() -> None:
     explained = explained_sides(FIT, SIZE, ON_ITS_LEFT, SIZE)
     assert explained.tolist() == [[False, True, False, False]]
+
+
+@pytest.mark.parametrize("side", range(4))
+def test_it_explains_no_other_side(side: int) -> None:
+    away = np.array([[2.1, 0.0], [0.0, 1.2], [-2.1, 0.0], [0.0, -1.2]])[side]
+    level = np.array([[0.0, 0.0, 0.0, 0.0]])
+    explained = explained_sides(level, SIZE, level + [*away, 0.0, 0.0], SIZE)
+    assert np.flatnonzero(explained).tolist() == [side]
+
+
+@pytest.mark.parametrize(("ahead_m", "explains"), [(0.9, True), (1.3, False)])
+def test_it_explains_a_side_that_it_covers_by_half(ahead_m: float, explains: bool) -> None:
+    level = np.array([[0.0, 0.0, 0.0, 0.0]])
+    explained = explained_sides(level, SIZE, level + [ahead_m, 1.2, 0.0, 0.0], SIZE)
+    assert explained[0, SIDES.index("left")] == explains
 
 
 def test_a_fit_does_not_explain_itself_nor_one_that_is_far() -> None:
