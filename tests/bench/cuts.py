@@ -3,7 +3,8 @@
     uv run python tests/bench/cuts.py SCENE TRUTH.csv --size 18.6,2.9,3.6 --at 2 5 9 12 15 20
 
 A user cuts out whichever instance comes first, with its bumps, gaps and a missing side. Everything
-but the model is left at its default. Labels have x, y, perhaps z, and axis_deg or outward_deg.
+but the model is left at its default. ``own`` is the score at the place that the model was cut from.
+Labels have x, y, perhaps z, and axis_deg or outward_deg.
 """
 
 from __future__ import annotations
@@ -11,11 +12,14 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import math
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
+
+from spinpipe.pipeline import api
 
 SPINPIPE = (sys.executable, "-c", "from spinpipe.pipeline.entry import main; main()")
 
@@ -46,7 +50,7 @@ def main() -> None:
     scene, truth = options.scene.resolve(), options.truth.resolve()
     with truth.open() as stream:
         labels = list(csv.DictReader(stream))
-    print(f"{'cut':>4} {'labels':>7} {'found':>6} {'false':>6} {'seconds':>8}")
+    print(f"{'cut':>4} {'labels':>7} {'found':>6} {'false':>6} {'own':>5} {'seconds':>8}")
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         first = config(folder / "first.toml", scene, 'shape = "saloon"')
@@ -68,7 +72,15 @@ def main() -> None:
             report = json.loads((run / "eval.json").read_text())
             found = report["accepted"]
             counts = (report["labels"]["counted"], found["found"], found["false"])
-            print(f"{row:4} {' '.join(f'{n:6}' for n in counts)} {seconds:8.1f}", flush=True)
+            place = float(label["x"]), float(label["y"])
+            near = (
+                d
+                for d in api.open(run).detections
+                if math.dist(d.position_scene[:2], place) < options.radius
+            )
+            own = max((d.score for d in near), default=0.0)
+            said = f"{' '.join(f'{n:6}' for n in counts)} {own:5.2f} {seconds:8.1f}"
+            print(f"{row:4} {said}", flush=True)
 
 
 if __name__ == "__main__":
