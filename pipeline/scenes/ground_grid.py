@@ -12,6 +12,8 @@ from scipy.ndimage import distance_transform_edt, grey_opening
 
 from spinpipe.schemas.arrays import F64, I64, Mask
 
+GRADE = 0.1
+"""By how much ground may slope to either side of a crest: chosen."""
 
 @dataclass(frozen=True)
 class GroundGrid:
@@ -47,7 +49,11 @@ def ground_grid(
     window_m: float,
     step_m: float,
 ) -> GroundGrid:
-    """Ground from the lowest point of each cell, by morphological opening [Zhang et al. 2003].
+    """Ground from the lowest point of each cell, by progressive morphological opening.
+
+    The window grows, and with it what may stand out: ground that is crowned or changes its slope
+    stands out of a wide window, things already of a narrow one [Zhang et al. 2003, A progressive
+    morphological filter for removing nonground measurements, section II].
 
     Parameters
     ----------
@@ -55,7 +61,7 @@ def ground_grid(
     low, high : (2,) corners of the grid.
     cell_m : side of a cell.
     window_m : whatever is narrower than this and stands out upwards is no ground.
-    step_m : how far a cell's lowest point may rise above the opened surface and still be ground.
+    step_m : how far a cell's lowest point may stand out from level ground.
 
     Raises
     ------
@@ -74,9 +80,14 @@ def ground_grid(
     if not occupied.any():
         raise ValueError("no point lies over the grid")
     filled = _from_nearest(lowest, occupied)
-    window = np.minimum(max(3, round(window_m / cell_m)), shape)
-    opened = grey_opening(filled, size=tuple(window.tolist()), mode="nearest")
-    seen = occupied & (lowest - opened <= step_m)
+    seen, window = occupied.copy(), 3
+    widest = max(window, min(round(window_m / cell_m), int(shape.max())))
+    while True:
+        opened = grey_opening(filled, size=(window, window), mode="nearest")
+        seen &= lowest - opened <= step_m + GRADE * window * cell_m / 2
+        if window == widest:
+            break
+        window = min(2 * window - 1, widest)
     return GroundGrid(np.asarray(low, np.float64), cell_m, _from_nearest(lowest, seen), seen)
 
 

@@ -50,3 +50,22 @@ def test_points_beyond_the_grid():
 def test_nothing_over_the_grid():
     with pytest.raises(ValueError, match="no point"):
         ground_grid([np.zeros((0, 3))], np.zeros(2), np.ones(2), cell_m=0.5, window_m=1, step_m=0.1)
+
+
+def test_a_crowned_yard_is_ground_and_the_row_on_it_is_not():
+    rng = np.random.default_rng(3)
+    ground = np.c_[rng.uniform(-40, 40, (200_000, 2)), np.zeros(200_000)]
+    row = np.abs(ground[:, :2]) < (9, 12)  # buses side by side, rounded towards their ends
+    on_row = row.all(axis=1)
+    ground[:, 2] = -0.05 * np.abs(ground[:, 1])
+    roof_m = 3.6 - 0.4 * np.maximum(np.abs(ground[:, 0]) - 7, 0)
+    ground[on_row, 2] += roof_m[on_row]
+    grid = ground_grid(
+        [ground], np.full(2, -40), np.full(2, 40), cell_m=0.7, window_m=74, step_m=0.4
+    )
+    cells, _ = grid.cells(ground[:, :2])
+    seen = grid.seen[cells[:, 0], cells[:, 1]]
+    away = (np.abs(ground[:, :2]) > (10, 13)).any(axis=1)
+    inner = (np.abs(ground[:, :2]) < (8, 11)).all(axis=1)
+    assert seen[away].mean() > 0.95
+    assert not seen[inner].any()
