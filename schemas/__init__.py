@@ -10,6 +10,7 @@ from spinpipe.schemas import foxglove_codec as foxglove
 from spinpipe.schemas import spinpipe_pb2 as pb
 from spinpipe.schemas.record_codec import record_topic
 from spinpipe.schemas.records import (
+    BlockHypotheses,
     Cluster,
     Detection,
     FitTrace,
@@ -51,6 +52,7 @@ HITS = record_topic("/scan/hits", Hits, pb.Hits)
 
 CLUSTERS = record_topic("/cluster/clusters", Cluster, pb.Cluster)
 
+HYPOTHESES = record_topic("/verify/hypotheses", BlockHypotheses, pb.BlockHypotheses)
 TRACES = record_topic("/verify/traces", FitTrace, pb.FitTrace)
 DETECTIONS = record_topic("/verify/detections", Detection, pb.Detection)
 INSTANCES = Topic(

@@ -293,6 +293,41 @@ class Cluster:
     method: str
 
 
+@dataclass(frozen=True, eq=False)
+class BlockHypotheses:
+    """What a look at the candidates of one block found: S hypotheses, and the way to K of them.
+
+    A run that was interrupted goes on after the last one.
+    """
+
+    look: int
+    """1 or 2."""
+    candidate: I64
+    """(S,) rows of the clusters."""
+    model: I64
+    """(S,) rows of the models."""
+    start: F64
+    """(S, 7) where registration began: base centre, world, metres; yaw, radians; stretch."""
+    pose: F64
+    """(S, 7) where it ended."""
+    lean: F64
+    """(S, 2) slopes of the support along x and y."""
+    parts: F64
+    """(S, P) parts of the score, see ``Detection.parts``."""
+    evidence: F64
+    """(S, E) what was counted and measured at the pose."""
+    odds: F64
+    """(S,) logarithm of the odds that it is an instance."""
+    course_candidate: I64
+    """(K,) rows of the clusters."""
+    course_length: I64
+    """(K,) poses on each way."""
+    course_poses: F64
+    """(sum of the lengths, 7) one way after the other, world."""
+    course_rms_m: F64
+    """(sum of the lengths,) residuals."""
+
+
 @dataclass(frozen=True)
 class FitTrace:
     """How the registration of one candidate went, start by start."""

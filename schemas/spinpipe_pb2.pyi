@@ -188,6 +188,36 @@ class Cluster(_message.Message):
     method: str
     def __init__(self, id: _Optional[int] = ..., model: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., hits: _Optional[int] = ..., correlation: _Optional[float] = ..., method: _Optional[str] = ...) -> None: ...
 
+class BlockHypotheses(_message.Message):
+    __slots__ = ("look", "candidate", "model", "start", "pose", "lean", "parts", "evidence", "odds", "course_candidate", "course_length", "course_poses", "course_rms_m")
+    LOOK_FIELD_NUMBER: _ClassVar[int]
+    CANDIDATE_FIELD_NUMBER: _ClassVar[int]
+    MODEL_FIELD_NUMBER: _ClassVar[int]
+    START_FIELD_NUMBER: _ClassVar[int]
+    POSE_FIELD_NUMBER: _ClassVar[int]
+    LEAN_FIELD_NUMBER: _ClassVar[int]
+    PARTS_FIELD_NUMBER: _ClassVar[int]
+    EVIDENCE_FIELD_NUMBER: _ClassVar[int]
+    ODDS_FIELD_NUMBER: _ClassVar[int]
+    COURSE_CANDIDATE_FIELD_NUMBER: _ClassVar[int]
+    COURSE_LENGTH_FIELD_NUMBER: _ClassVar[int]
+    COURSE_POSES_FIELD_NUMBER: _ClassVar[int]
+    COURSE_RMS_M_FIELD_NUMBER: _ClassVar[int]
+    look: int
+    candidate: Array
+    model: Array
+    start: Array
+    pose: Array
+    lean: Array
+    parts: Array
+    evidence: Array
+    odds: Array
+    course_candidate: Array
+    course_length: Array
+    course_poses: Array
+    course_rms_m: Array
+    def __init__(self, look: _Optional[int] = ..., candidate: _Optional[_Union[Array, _Mapping]] = ..., model: _Optional[_Union[Array, _Mapping]] = ..., start: _Optional[_Union[Array, _Mapping]] = ..., pose: _Optional[_Union[Array, _Mapping]] = ..., lean: _Optional[_Union[Array, _Mapping]] = ..., parts: _Optional[_Union[Array, _Mapping]] = ..., evidence: _Optional[_Union[Array, _Mapping]] = ..., odds: _Optional[_Union[Array, _Mapping]] = ..., course_candidate: _Optional[_Union[Array, _Mapping]] = ..., course_length: _Optional[_Union[Array, _Mapping]] = ..., course_poses: _Optional[_Union[Array, _Mapping]] = ..., course_rms_m: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
+
 class FitTrace(_message.Message):
     __slots__ = ("cluster", "start_heading_deg", "rms_m", "poses")
     CLUSTER_FIELD_NUMBER: _ClassVar[int]

@@ -21,7 +21,7 @@ from spinpipe.stages.verify.decide.verdict import Rules, Verdict
 from spinpipe.stages.verify.judge.hypotheses import Course, T_world_object
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
 from spinpipe.stages.verify.judge.scoring import merits
-from spinpipe.stages.verify.judge.search import MapBlocks, Search
+from spinpipe.stages.verify.judge.search import MapBlocks, Search, Store
 from spinpipe.stages.verify.judge.standards import Standards
 from spinpipe.stages.verify.model.field import ModelField, build_model_field
 from spinpipe.stages.verify.model.known_object import KnownObject
@@ -35,6 +35,7 @@ def verify_by_evidence(
     *,
     threads: int,
     map_blocks: MapBlocks,
+    store: Store,
     advance: Callable[[int], None],
     log: Callable[[str], None],
 ) -> Iterator[tuple[Detection, FitTrace | None]]:
@@ -48,6 +49,7 @@ def verify_by_evidence(
     rng : draws the surface of mesh models.
     threads : of the kernels; never changes a result.
     map_blocks : maps a function over blocks of candidates, in order.
+    store : keeps what each block gives.
     advance : told how many more candidates are looked at, each of them twice.
     log : told what was measured.
     """
@@ -66,7 +68,7 @@ def verify_by_evidence(
     places = np.array([cluster.position for cluster in clusters], np.float64)
     proposed = np.array([names.index(cluster.model) for cluster in clusters])
     search = Search(objects, sampling, candidates.cloud, places, proposed, threads)
-    found = search.run(rules.tolerance_m, map_blocks, advance)
+    found = search.run(rules.tolerance_m, map_blocks, store, advance)
     for name, error in zip(names, found.standards.error_m, strict=True):
         log(f"surfaces are off by {error:.3f} m at the size of {name}")
     rows_of = found.table.rows_of_candidates(len(places))

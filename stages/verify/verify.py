@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ from spinpipe.schemas import (
     CLOUD,
     CLUSTERS,
     DETECTIONS,
+    HYPOTHESES,
     INSTANCES,
     MODELS,
     SAMPLING,
@@ -29,6 +31,7 @@ from spinpipe.stages.verify.by_evidence import verify_by_evidence
 from spinpipe.stages.verify.candidates import Candidates
 from spinpipe.stages.verify.decide.verdict import Rules
 from spinpipe.stages.verify.icp.verification import IcpRules, verify_by_residual
+from spinpipe.stages.verify.judge.search import Store
 
 LOOKS = 2
 """At each candidate, by evidence: see ``judge.search``."""
@@ -72,7 +75,7 @@ class Verify:
     name = "verify"
     version = 3
     inputs = (CLOUD, TILES, SCENE, MODELS, UPRIGHT, SAMPLING, SPIN_IMAGES, CLUSTERS)
-    outputs = (TRACES, DETECTIONS, INSTANCES)
+    outputs = (HYPOTHESES, TRACES, DETECTIONS, INSTANCES)
 
     class Config(Section):
         """How candidates are fitted and judged."""
@@ -116,6 +119,10 @@ def _verified(
 ) -> Iterator[tuple[Detection, FitTrace | None]]:
     config = ctx.config
     if config.method == "evidence":
+        store = Store(partial(ctx.write, HYPOTHESES), list(ctx.recovered(HYPOTHESES)))
+        if store.recovered:
+            first, second = (len(store.of_look(n)) for n in (1, 2))
+            ctx.log(f"went on after {first} blocks of the first look, {second} of the second")
         yield from verify_by_evidence(
             candidates,
             ctx.read_one(SAMPLING),
@@ -123,6 +130,7 @@ def _verified(
             ctx.rng,
             threads=ctx.threads,
             map_blocks=ctx.map,
+            store=store,
             advance=progress.advance,
             log=ctx.log,
         )

@@ -286,6 +286,19 @@ def test_a_scan_that_stops_again_and_again_ends_the_same(
     assert_same_results(yard_run, finished_yard)
 
 
+def test_a_verification_goes_on_at_the_block_where_it_stopped(
+    cli: Cli, finished_yard: YardRun, yard_run: YardRun
+) -> None:
+    looks = sum(topic == "/verify/hypotheses" for topic, _ in content(yard_run.mcap("verify")))
+    assert looks >= 4
+    yard_run.mcap("verify").unlink()
+    interrupt_at_message(cli, yard_run, "/verify/hypotheses", 1)
+    interrupt_at_message(cli, yard_run, "/verify/hypotheses", looks // 2 + 1)
+    outcome = go_on(cli, yard_run)
+    assert f"went on after {looks // 2} blocks of the first look, 1 of the second" in outcome.out
+    assert_same_results(yard_run, finished_yard)
+
+
 def test_tiles_of_another_setting_are_not_taken_over(
     cli: Cli, finished_yard: YardRun, yard_run: YardRun
 ) -> None:

@@ -8,7 +8,7 @@ what was found is judged anew.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from spinpipe.stages.threads import map_threads
 from spinpipe.stages.verify.evidence.outline import GOES_ON, SIDES
 from spinpipe.stages.verify.fit.coarse_bounds import has_long_top
 from spinpipe.stages.verify.judge.block import Block, first_around
+from spinpipe.stages.verify.judge.examination import Examination
 from spinpipe.stages.verify.judge.hypotheses import (
     Course,
     T_world_object,
@@ -50,15 +51,6 @@ roof deck was lost."""
 WORTH_ANOTHER_PLACE = -6.0
 """Log odds from which a candidate is examined elsewhere than where it fits best, if another one
 stands there: chosen, few hypotheses gain more from a second look."""
-
-
-@dataclass(frozen=True, eq=False)
-class Examination:
-    """All hypotheses about some candidates, and how those that are any good came about."""
-
-    table: Hypotheses
-    courses: dict[int, list[Course]]
-    """Of the hypotheses that a candidate may stand for, by candidate."""
 
 
 class Examiner:

@@ -10,13 +10,13 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from spinpipe.schemas.arrays import F32, F64, I64
-from spinpipe.schemas.records import Sampling
+from spinpipe.schemas.records import BlockHypotheses, Sampling
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.verify.judge.block import blocks
 from spinpipe.stages.verify.judge.errors import measured_errors
+from spinpipe.stages.verify.judge.examination import Examination
 from spinpipe.stages.verify.judge.examiner import (
     WORTH_ANOTHER_PLACE,
-    Examination,
     Examiner,
 )
 from spinpipe.stages.verify.judge.hypotheses import Course
@@ -43,6 +43,18 @@ class Found:
     standards: Standards
     table: Hypotheses
     courses: dict[int, list[Course]]
+
+
+@dataclass(frozen=True)
+class Store:
+    """Where a run keeps what it finds in each block, and what of it an interrupted one left."""
+
+    keep: Callable[[BlockHypotheses], None]
+    recovered: Sequence[BlockHypotheses] = ()
+
+    def of_look(self, look: int) -> list[BlockHypotheses]:
+        """What was left of one look, block by block from the first on."""
+        return [block for block in self.recovered if block.look == look]
 
 
 @dataclass(frozen=True)
@@ -78,7 +90,11 @@ class Search:
     threads: int
 
     def run(
-        self, error_m: float | None, map_blocks: MapBlocks, advance: Callable[[int], None]
+        self,
+        error_m: float | None,
+        map_blocks: MapBlocks,
+        store: Store,
+        advance: Callable[[int], None],
     ) -> Found:
         """All hypotheses.
 
@@ -86,34 +102,36 @@ class Search:
         ----------
         error_m : of the surfaces of instances; None: measured on what a look at all finds.
         map_blocks : maps a function over blocks of candidates, in order.
+        store : keeps what was found.
         advance : told how many more candidates are looked at, each of them twice.
         """
+
+        def examined(
+            look: int, function: Callable[[Any], Examination], jobs: Sequence[Any]
+        ) -> Examination:
+            """What a look finds at all blocks."""
+            found = store.of_look(look)
+            known = len(found)
+            advance(sum(len(rows) for rows in rows_of_blocks[:known]))
+            rest = map_blocks(function, jobs[known:])
+            for rows, seen in zip(rows_of_blocks[known:], rest, strict=True):
+                found.append(seen.record(look, rows))
+                store.keep(found[-1])
+                advance(len(rows))
+            return Examination.of_records(found)
+
         most = [greatest_error_m(o.field) for o in self.objects]
         glanced = [replace(o, field=o.field.glanced(GLANCE)) for o in self.objects]
         standards = Standards.of(glanced, self.sampling, most)
         examiner = Examiner(standards)
         rows_of_blocks = list(blocks(self.places, BLOCK_REACHES * examiner.reach_m))
-        looks: list[Hypotheses] = []
-        for rows, seen in zip(
-            rows_of_blocks,
-            map_blocks(partial(_look, self._task(examiner)), rows_of_blocks),
-            strict=True,
-        ):
-            looks.append(replace(seen, candidate=rows[seen.candidate]))
-            advance(len(rows))
-        first = Hypotheses.joined(looks)
+        first = examined(1, partial(_look, self._task(examiner)), rows_of_blocks).table
         first = first.rows(standards.chosen_rows(first, WORTH_ANOTHER_PLACE))
         errors = measured_errors(standards, first) if error_m is None else [error_m] * len(most)
         standards = Standards.of(self.objects, self.sampling, errors)
         jobs = self._by_block(first, rows_of_blocks)
-        tables: list[Hypotheses] = []
-        courses: dict[int, list[Course]] = {}
-        examined = map_blocks(partial(_examine, self._task(Examiner(standards))), jobs)
-        for (rows, _), seen in zip(jobs, examined, strict=True):
-            tables.append(replace(seen.table, candidate=rows[seen.table.candidate]))
-            courses |= {int(rows[k]): course for k, course in seen.courses.items()}
-            advance(len(rows))
-        return Found(standards, Hypotheses.joined(tables), courses)
+        last = examined(2, partial(_examine, self._task(Examiner(standards))), jobs)
+        return Found(standards, last.table, last.courses)
 
     def _by_block(
         self, best: Hypotheses, rows_of_blocks: list[I64]
@@ -130,11 +148,12 @@ class Search:
         return _Task(examiner, self.cloud, self.places, self.proposed, self.threads)
 
 
-def _look(task: _Task, rows: I64) -> Hypotheses:
+def _look(task: _Task, rows: I64) -> Examination:
     """Hypotheses about the candidates of one block, as what proposed them."""
-    return task.examiner.look(
+    table = task.examiner.look(
         task.points(rows), task.places[rows], task.proposed[rows], task.threads
     )
+    return Examination(table, {})
 
 
 def _examine(task: _Task, job: tuple[I64, Hypotheses]) -> Examination:

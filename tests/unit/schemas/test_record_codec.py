@@ -16,6 +16,7 @@ from spinpipe.schemas import (
     CLUSTERS,
     DETECTIONS,
     HITS,
+    HYPOTHESES,
     MODELS,
     PLANE,
     SCENE,
@@ -104,6 +105,18 @@ RECORDS: list[tuple[Topic[Any], st.SearchStrategy[Any]]] = [
     ),
     (HITS, st.builds(records.Hits, texts, floats(32, None, 3), floats(32, None))),
     (CLUSTERS, st.builds(records.Cluster, counts, texts, vectors, counts, numbers, texts)),
+    (
+        HYPOTHESES,
+        st.builds(
+            records.BlockHypotheses,
+            counts,
+            *(floats(64, None).map(lambda a: a.astype(np.int64)),) * 2,
+            *(floats(64, None, 7), floats(64, None, 7), floats(64, None, 2)),
+            *(floats(64, None, None), floats(64, None, None), floats(64, None)),
+            *(floats(64, None).map(lambda a: a.astype(np.int64)),) * 2,
+            *(floats(64, None, 7), floats(64, None)),
+        ),
+    ),
     (
         TRACES,
         st.builds(

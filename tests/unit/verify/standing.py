@@ -10,7 +10,7 @@ from spinpipe.stages.geometry.shapes import merged, sample_surface, surface_area
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.verify.decide.decision import decide
 from spinpipe.stages.verify.decide.verdict import Rules
-from spinpipe.stages.verify.judge.search import Search
+from spinpipe.stages.verify.judge.search import Search, Store
 from spinpipe.stages.verify.model.field import build_model_field
 from spinpipe.stages.verify.model.known_object import KnownObject
 
@@ -60,7 +60,7 @@ def found_in(cloud, objects, places, sampling=None, threads=1, error_m=None, pro
     proposed = np.asarray(proposed)
     sampling = sampling or measure_sampling(cloud)
     search = Search(objects, sampling, cloud_in_memory(cloud), places, proposed, threads)
-    return search.run(error_m, map, lambda count: None)
+    return search.run(error_m, map, Store(lambda block: None), lambda count: None)
 
 
 def verdicts_on(cloud, objects, places, *, sampling=None, threads=1, proposed=None, **rules):
