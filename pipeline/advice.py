@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from spinpipe.pipeline.context import RunReader
+from spinpipe.pipeline.results.life import deciding_part
 from spinpipe.schemas import CLUSTERS, HITS, MODELS, PLANE, SAMPLING, SCENE, SCORES, TILES
 from spinpipe.schemas.records import Detection
 from spinpipe.stages.ground.ground import SMALL
@@ -49,7 +50,7 @@ def advice(read: RunReader, detections: Sequence[Detection]) -> Iterator[str]:
             f"{best:.2f} ([scan] min_correlation says from where a place counts)"
         )
     elif detections:
-        weakest = Counter(min(d.parts, key=lambda p: p.value).name for d in detections if d.parts)
+        weakest = Counter(part.name for d in detections if (part := deciding_part(d)) is not None)
         if weakest:
             name, count = weakest.most_common(1)[0]
             mend = f"; {_TRY[name]}" if name in _TRY else ""

@@ -208,15 +208,22 @@ def status(
 @app.command()
 def why(
     folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder.")],
-    candidate: Annotated[int, typer.Argument(metavar="ID", min=0, help="Id of a candidate.")],
+    candidates: Annotated[
+        list[int], typer.Argument(metavar="ID...", min=0, help="Ids of candidates.")
+    ],
+    picture: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Draw what is there: a .png, .jpg or .webp."),
+    ] = None,
+    force: ForceOption = False,
 ) -> None:
-    """Tell the life of one candidate, from its hits to what decided.
+    """Tell the life of candidates, from their hits to what decided.
 
-    Ids are in the report, on the map and in detections.json.
+    Ids are in the report and in detections.json, those of accepted ones also on the map.
     """
     from spinpipe.pipeline.results.why import why_command
 
-    why_command(folder, candidate)
+    why_command(folder, candidates, picture, force)
 
 
 @app.command()

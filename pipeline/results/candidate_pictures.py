@@ -15,12 +15,16 @@ from spinpipe.pipeline.drawing import palette
 from spinpipe.pipeline.drawing.closeup import SIGHT, WHAT, Closeup
 from spinpipe.schemas.arrays import F64, U8
 
+POINTS = 4000
+"""Of the cloud in a picture."""
 SIDE_PX = 112
 EMPTY_M = 1.0
 """Shown around a candidate where nothing stands, to each side."""
 VIEWS = ("from above, as photographed", "from the side, explained or not", "model, seen or not")
 COLUMNS = 6
 """Candidates side by side."""
+ENLARGED = 4
+"""Pixels of a picture by itself for one in a sheet."""
 
 WHAT_COLOURS = np.array(
     [palette.GROUND_POINT, palette.EXPLAINED, palette.UNEXPLAINED, palette.SHADOW], np.uint8
@@ -35,12 +39,20 @@ def sprite_sheet(closeups: Iterable[Closeup]) -> tuple[bytes, int]:
     tiles = [np.hstack(_views(closeup)) for closeup in closeups]
     if not tiles:
         return b"", 0
-    count = len(tiles)
-    tiles += [np.zeros_like(tiles[0])] * (-count % COLUMNS)
-    rows = [np.hstack(tiles[i : i + COLUMNS]) for i in range(0, len(tiles), COLUMNS)]
     buffer = BytesIO()
-    Image.fromarray(np.vstack(rows)).save(buffer, format="JPEG", quality=80)
-    return buffer.getvalue(), count
+    Image.fromarray(_in_rows(tiles, COLUMNS)).save(buffer, format="JPEG", quality=80)
+    return buffer.getvalue(), len(tiles)
+
+
+def strips(closeups: Iterable[Closeup]) -> Image.Image:
+    """Candidates below each other, at least one: the three ``VIEWS`` of each side by side."""
+    small = Image.fromarray(_in_rows([np.hstack(_views(closeup)) for closeup in closeups], 1))
+    return small.resize((small.width * ENLARGED, small.height * ENLARGED), Image.Resampling.NEAREST)
+
+
+def _in_rows(tiles: list[U8], columns: int) -> U8:
+    tiles = tiles + [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
+    return np.vstack([np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)])
 
 
 def _views(c: Closeup) -> list[U8]:

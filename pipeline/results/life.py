@@ -70,6 +70,8 @@ def life_of(d: Detection, read: ReadTopic, config: RunConfig) -> Life:
     return Life(d, tests, _remedies(d, limits, winner))
 
 
+LEANING_DEG = 3.0
+"""A support that leans less is said to be level."""
 NEARLY = 0.5
 """A limit is offered for change where the value misses it by less than this factor."""
 
@@ -130,7 +132,7 @@ def _scan(d: Detection, read: ReadTopic, config: RunConfig) -> list[Test]:
         )
     )
     x, y, z = cluster.position
-    tests.append(Test("cluster", "place, world", f"x {x:.2f}  y {y:.2f}  z {z:.2f} m"))
+    tests.append(Test("cluster", "found at, world", f"x {x:.2f}  y {y:.2f}  z {z:.2f} m"))
     return tests
 
 
@@ -141,7 +143,7 @@ def _registration(d: Detection, read: ReadTopic) -> list[Test]:
         steps = max(len(trace.poses) - 1, 1)
         value = f"{len(trace.start_heading_deg)} starts as {d.model}, {steps} steps of the best"
         tests.append(Test("verify", "registration", value))
-    off = f"{d.rms_m:.3f} m over a weight of {d.inlier_weight:.0f}"
+    off = f"{d.rms_m:.3f} m of the points within {d.gate_m:.2f} m"
     tests.append(Test("verify", "residual", off if np.isfinite(d.rms_m) else "no points"))
     if np.isfinite(d.runner_up_rms_m):
         rival = f"{d.runner_up_heading_deg:.0f}°, residual {d.runner_up_rms_m:.3f} m"
@@ -152,15 +154,16 @@ def _registration(d: Detection, read: ReadTopic) -> list[Test]:
     seen = f"{d.coverage_model:.0%} of the model's visible surface seen, {d.observed:.0%} observed"
     tests.append(Test("verify", "model in the scene", seen))
     tests.append(Test("verify", "scene in the model", f"{d.coverage_scene:.0%} explained"))
+    if d.tilt_deg >= LEANING_DEG:
+        tests.append(Test("verify", "leans with its support", f"{d.tilt_deg:.1f}°"))
     return tests
 
 
 def deciding_part(d: Detection) -> Part | None:
-    """The part that speaks loudest against: by its merit, else as the reason names it."""
+    """The part that speaks loudest against: by its merit, else its value."""
     if any(part.merit for part in d.parts):
         return min(d.parts, key=lambda part: part.merit)
-    named = [part for part in d.parts if f": {part.name} " in d.reason]
-    return min(named or d.parts, key=lambda part: part.value / part.reference, default=None)
+    return min(d.parts, key=lambda part: part.value / part.reference, default=None)
 
 
 def _remedies(d: Detection, limits: Sequence[Test], winner: int | None) -> list[str]:

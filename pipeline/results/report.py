@@ -20,6 +20,7 @@ from spinpipe.pipeline.drawing.texts import LOW
 from spinpipe.pipeline.drawing.top_view import TopView
 from spinpipe.pipeline.results.candidate_pictures import (
     COLUMNS,
+    POINTS,
     SIDE_PX,
     SIGHT_COLOURS,
     VIEWS,
@@ -34,8 +35,6 @@ from spinpipe.schemas.records import Detection, ObjectModel
 
 PICTURED = 300
 """Candidates with pictures."""
-POINTS = 4000
-"""Of the cloud in a picture."""
 DATA = "/*DATA*/"
 
 

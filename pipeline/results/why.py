@@ -2,29 +2,51 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
+from PIL import Image
 from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
 from spinpipe.pipeline.context import RunReader
+from spinpipe.pipeline.drawing.closeup import closeups
 from spinpipe.pipeline.drawing.texts import LOW, against
+from spinpipe.pipeline.outputs import write_new
+from spinpipe.pipeline.results.candidate_pictures import POINTS, VIEWS, strips
 from spinpipe.pipeline.results.complete import open_complete
 from spinpipe.pipeline.results.life import Life, deciding_part, find_detection, life_of
 from spinpipe.schemas import DETECTIONS
 from spinpipe.schemas.records import Detection
+from spinpipe.stages.stage import StageError
 
 BAR = 20
 """Characters of a full bar."""
 
 
-def why_command(path: Path, number: int) -> None:
+def why_command(
+    path: Path, numbers: Sequence[int], picture: Path | None = None, force: bool = False
+) -> None:
     """``spinpipe why``."""
     folder, config = open_complete(path)
     read = RunReader(folder)
-    detection = find_detection(read(DETECTIONS), number)
-    Console().print(life_table(life_of(detection, read, config), path), highlight=False)
+    known = read(DETECTIONS)
+    detections = [find_detection(known, number) for number in numbers]
+    if picture is not None:
+        kind = Image.registered_extensions().get(picture.suffix.lower())
+        if kind not in ("PNG", "JPEG", "WEBP"):
+            raise StageError(f"--picture {picture}: name a .png, .jpg or .webp file")
+        image = strips(closeups(read, detections, POINTS))
+        write_new(picture, lambda partial: image.save(partial, format=kind), force=force)
+    console = Console()
+    for k, detection in enumerate(detections):
+        if k:
+            console.rule()
+        console.print(life_table(life_of(detection, read, config), path), highlight=False)
+    if picture is not None:
+        text = f"wrote {picture}, a row a candidate: {'; '.join(VIEWS)}"
+        console.print(text, highlight=False, soft_wrap=True)
 
 
 def life_table(life: Life, folder: Path) -> Group:
@@ -43,6 +65,7 @@ def life_table(life: Life, folder: Path) -> Group:
         lines += [Text("\nwhat speaks against it, the loudest first", style="bold"), _against(d)]
     lines += [Text()] + [Text(f"- {line}") for line in life.remedies]
     lines.append(Text(f"see it: spinpipe view {folder} --candidate {d.id}"))
+    lines.append(Text(f"or: spinpipe why {folder} {d.id} --picture {d.id}.png"))
     return Group(*lines)
 
 

@@ -13,8 +13,9 @@ from spinpipe.schemas.arrays import F64, I64, Mask
 
 TRIES = 2000
 """Random poses that are tried for each object before the scene counts as full."""
-LEAST_SEEN = 0.5
-"""Share of the ground below an object that must be seen: beyond the scene there is no ground."""
+LEAST_SEEN = 0.75
+"""Share of the ground below an object that must be seen: where the scene ends or has a hole nobody
+would label the rest of a thing. Chosen."""
 
 
 @dataclass(frozen=True)

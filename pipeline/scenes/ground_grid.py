@@ -15,6 +15,7 @@ from spinpipe.schemas.arrays import F64, I64, Mask
 GRADE = 0.1
 """By how much ground may slope to either side of a crest: chosen."""
 
+
 @dataclass(frozen=True)
 class GroundGrid:
     """Ground heights over a rectangle of the world's x-y plane."""

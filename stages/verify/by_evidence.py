@@ -8,8 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from spinpipe.schemas.arrays import F64
-from spinpipe.schemas.records import Cluster, Detection, FitTrace, ObjectModel, Part, Sampling
+from spinpipe.schemas.records import Cluster, Detection, FitTrace, ObjectModel, Sampling
 from spinpipe.stages.geometry.frames import heading_deg, transform, vector
 from spinpipe.stages.geometry.model_surface import model_surface
 from spinpipe.stages.geometry.skin import shown
@@ -20,7 +19,6 @@ from spinpipe.stages.verify.decide.decision import decide
 from spinpipe.stages.verify.decide.verdict import Rules, Verdict
 from spinpipe.stages.verify.judge.hypotheses import Course, T_world_object
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
-from spinpipe.stages.verify.judge.scoring import merits
 from spinpipe.stages.verify.judge.search import MapBlocks, Search, Store
 from spinpipe.stages.verify.judge.standards import Standards
 from spinpipe.stages.verify.model.field import ModelField, build_model_field
@@ -122,7 +120,7 @@ def _detection(
         coverage_scene=evidence.get("explained", 0.0) / claimed if claimed > 0 else 0.0,
         observed=min(verdict.observed, 1.0),
         score=verdict.score,
-        parts=_parts(verdict, standards.reference[verdict.model]),
+        parts=verdict.parts,
         size_m=vector(verdict.size_m),
         alternative=other,
         alternative_margin=verdict.alternative_margin,
@@ -133,15 +131,6 @@ def _detection(
         sharp_m=standards.limits[verdict.model].sharp_m,
         min_score=rules.min_score,
     )
-
-
-def _parts(verdict: Verdict, reference: F64) -> tuple[Part, ...]:
-    """The parts of a verdict beside what a right instance gets (len(PARTS),)."""
-    if not verdict.parts:
-        return ()
-    values = np.array(list(verdict.parts.values()))
-    rows = zip(verdict.parts, values, reference, merits(values[None], reference)[0], strict=True)
-    return tuple(Part(name, float(v), float(r), float(m)) for name, v, r, m in rows)
 
 
 def _trace(

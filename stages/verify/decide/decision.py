@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from spinpipe.schemas.arrays import F64
+from spinpipe.schemas.records import Part
 from spinpipe.stages.verify.decide.continuation import (
     explained_sides,
     first_continuing,
@@ -21,7 +22,6 @@ from spinpipe.stages.verify.decide.verdict import Cause, Fate, Rules, Verdict
 from spinpipe.stages.verify.evidence.gather import EVIDENCE
 from spinpipe.stages.verify.evidence.outline import SIDES
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
-from spinpipe.stages.verify.judge.scoring import PARTS
 from spinpipe.stages.verify.judge.standards import Standards
 from spinpipe.stages.verify.model.known_object import KnownObject
 
@@ -71,7 +71,7 @@ def _nothing_there(candidate: int, place: F64) -> Verdict:
         pose=pose,
         lean=np.zeros(2),
         size_m=np.zeros(3),
-        parts={},
+        parts=(),
         evidence={},
         odds=NO_ODDS,
         score=0.0,
@@ -100,11 +100,10 @@ def _judge(
     known = standards.objects[int(best.model[k])]
     value = float(best.score[k])
     evidence: dict[str, float] = dict(zip(EVIDENCE, best.evidence[k].tolist(), strict=True))
-    parts: dict[str, float] = dict(zip(PARTS, best.parts[k].tolist(), strict=True))
     margin, runner_up, runner_up_rms_m = _heading_margin(standards, best, k, rivals)
     alternative, lead = _alternative(standards, best, k, rivals)
-    weakest = standards.weakest_part(best.parts[k], int(best.model[k]))
-    fate, cause, reason = _fate(known, evidence, parts, weakest, value, rules)
+    parts = standards.parts_of(best.parts[k], int(best.model[k]))
+    fate, cause, reason = _fate(known, evidence, parts, value, rules)
     duplicate_of = -1
     if displaced_by >= 0 and best.score[displaced_by] >= rules.min_score:
         duplicate_of = int(best.candidate[displaced_by])
@@ -144,21 +143,22 @@ def _judge(
 def _fate(
     known: KnownObject,
     evidence: dict[str, float],
-    parts: dict[str, float],
-    weakest: str,
+    parts: tuple[Part, ...],
     value: float,
     rules: Rules,
 ) -> tuple[Fate, Cause, str]:
     """Fate and reason of a hypothesis in itself, whatever its rivals are."""
     observed = evidence["supported"] + evidence["contradicted"]
     if value < rules.min_score:
+        weakest = min(parts, key=lambda part: part.merit)
         return (
             "rejected",
             "score",
             (
                 # rounded down: 0.498 is not "0.50 below 0.5"
                 f"score {math.floor(100 * value) / 100:.2f} below {rules.min_score:g}; "
-                f"weakest part: {weakest} {parts[weakest]:.2f}"
+                f"{weakest.name} costs most: {weakest.value:.2f}, a right one has "
+                f"{weakest.reference:.2f}"
             ),
         )
     if observed < rules.min_observed:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from spinpipe.schemas.arrays import F64
+from spinpipe.schemas.records import Part
 
 Fate = Literal["accepted", "ambiguous", "duplicate", "rejected"]
 Cause = Literal[
@@ -41,7 +42,7 @@ class Verdict:
     pose : (7,) x, y, z of the base centre, yaw (radians), stretch along the object's axes; world.
     lean : (2,) slopes of what it stands on, along the world's x and y.
     size_m : (3,) fitted extents.
-    parts : score parts by name.
+    parts : of the score, beside what a right instance gets; none where nothing stands.
     evidence : raw evidence by name.
     odds, score : logarithm of the odds that it is an instance, and that as a probability.
     fate, cause, reason : the decision.
@@ -58,7 +59,7 @@ class Verdict:
     pose: F64
     lean: F64
     size_m: F64
-    parts: dict[str, float]
+    parts: tuple[Part, ...]
     evidence: dict[str, float]
     odds: float
     score: float

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from spinpipe.schemas.arrays import F64, I64
-from spinpipe.schemas.records import Sampling
+from spinpipe.schemas.records import Part, Sampling
 from spinpipe.stages.verify.judge.hypothesis_table import Hypotheses
 from spinpipe.stages.verify.judge.reference import Reference, right_instance
 from spinpipe.stages.verify.judge.resolve import resolve
@@ -58,10 +58,12 @@ class Standards:
         """Log odds (S,) of parts (S, len(PARTS)) of hypotheses about models (S,)."""
         return log_odds(parts, self.reference[model])
 
-    def weakest_part(self, parts: F64, model: int) -> str:
-        """Name of the part (of (len(PARTS),)) that costs a hypothesis about a model most."""
-        lost = merits(parts[None], self.reference[[model]])[0]
-        return PARTS[int(np.argmin(lost))]
+    def parts_of(self, parts: F64, model: int) -> tuple[Part, ...]:
+        """Parts (len(PARTS),) of a hypothesis about a model beside what a right instance gets."""
+        reference = self.reference[model]
+        merit = merits(parts[None], reference[None])[0]
+        rows = zip(PARTS, parts.tolist(), reference.tolist(), merit.tolist(), strict=True)
+        return tuple(Part(*row) for row in rows)
 
     def chosen_rows(self, table: Hypotheses, least_odds: float) -> I64:
         """Row of the hypothesis that each candidate stands for, by candidate.

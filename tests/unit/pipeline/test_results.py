@@ -247,7 +247,9 @@ def test_export_takes_the_fates_that_are_asked_for(
     assert "nonsense" in outcome.err
 
 
-def test_why_tells_each_test_and_what_decided(finished_yard: YardRun, cli: Cli) -> None:
+def test_why_tells_each_test_and_what_decided(
+    finished_yard: YardRun, cli: Cli, tmp_path: Path
+) -> None:
     for d in finished_yard.detections():
         outcome = cli("why", finished_yard.output, d["id"])
         assert outcome.code == 0, outcome.err
@@ -256,6 +258,21 @@ def test_why_tells_each_test_and_what_decided(finished_yard: YardRun, cli: Cli) 
         assert f"--candidate {d['id']}" in " ".join(outcome.out.split())
         for part in d["parts"]:
             assert part in outcome.out
+    first, second = (d["id"] for d in finished_yard.detections()[:2])
+    picture = tmp_path / "why.png"
+    outcome = cli("why", finished_yard.output, first, second, "--picture", picture)
+    assert outcome.out.count("candidate ") >= 2
+    with Image.open(picture) as image:
+        pixels = np.asarray(image.convert("RGB"))
+    assert pixels.shape[0] * 3 == pixels.shape[1] * 2, "three squares side by side, two below"
+    for strip in np.split(pixels, 2):
+        for view in np.split(strip, 3, axis=1):
+            assert len(np.unique(view.reshape(-1, 3), axis=0)) > 3
+    outcome = cli("why", finished_yard.output, first, "--picture", picture)
+    assert outcome.code == 1
+    assert "--force" in outcome.err
+    outcome = cli("why", finished_yard.output, first, "--picture", tmp_path / "why.txt")
+    assert (outcome.code, outcome.err.count("\n")) == (1, 1)
     outcome = cli("why", finished_yard.output, "12345")
     assert outcome.code == 1
     assert "no candidate 12345" in outcome.err

@@ -21,6 +21,11 @@ LATHE = merged(
 )
 
 
+def part(verdict, name):
+    """What a verdict gives a part of the score."""
+    return next(part.value for part in verdict.parts if part.name == name)
+
+
 def test_a_row_of_instances_is_found_whatever_touches_them():
     """Neighbours explain each other; a lower body beside them is no continuation."""
     row = [placed(CABINET, (0, 0.5 * k, 0)) for k in range(3)]
@@ -53,7 +58,7 @@ def test_steps_are_no_contradiction_in_noise():
     known = known_object("lathe", LATHE)
     verdict = verdicts_on(cloud, [known], [(-0.68, 0, 1.25)])[0]
     assert verdict.evidence["contradicted"] < 0.05
-    assert verdict.parts["model"] > 0.9
+    assert part(verdict, "model") > 0.9
 
 
 def test_the_underside_of_a_plate_is_not_seen_from_above():
@@ -112,7 +117,7 @@ def test_what_fits_worse_than_all_instances_of_the_scene_is_none():
     cloud = cloud_of([*row, placed(crate, (0, 2, 0))], 9, 900, 0.03)
     places = [(1.5 * k, 0, 0.88) for k in range(-2, 2)] + [(0, 2, 0.88)]
     *right, wrong = verdicts_on(cloud, [known_object("barrel", barrel)], places)
-    assert min(v.parts["alike"] for v in right) > 0.3
+    assert min(part(v, "alike") for v in right) > 0.3
     assert [v.fate for v in right] == ["accepted"] * 4
-    assert wrong.parts["alike"] < 0.05
+    assert part(wrong, "alike") < 0.05
     assert wrong.fate == "rejected"
