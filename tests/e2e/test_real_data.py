@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -88,6 +89,38 @@ def test_a_whole_car_park_gives_its_cars(
     assert report["labels"]["counted"] == cars
     assert report["accepted"]["recall"] >= 0.95
     assert report["accepted"]["precision"] >= 0.95
+
+
+@pytest.mark.skipif(
+    not os.environ.get("SPINPIPE_ALL_DATA"), reason="two minutes; SPINPIPE_ALL_DATA=1 runs it"
+)
+@pytest.mark.parametrize(
+    ("scene", "at", "size", "heading"),
+    [
+        ("bus-yard/scene.ply", (376.25, 631.85), "18.6,2.9,3.6", "85"),
+        ("prisms-north/scene.laz", (232.92, 190.73, 40.3), "9.0,3.4,4.2", "6.1"),
+    ],
+)
+def test_a_cut_model_is_found_at_its_own_place(
+    cli: Cli, shared_data: Path, tmp_path: Path, scene: str, at: tuple[float, ...], size: str,
+    heading: str,
+) -> None:  # fmt: skip
+    source, model, config = need(shared_data / scene), tmp_path / "cut.ply", tmp_path / "c.toml"
+    run(cli, source, tmp_path / "first", "--until", "ground")
+    outcome = cli(
+        *("model", "cut", tmp_path / "first", "--at", ",".join(map(str, at)), "--size", size),
+        *("--heading", heading, "--name", "thing", "--out", model),
+    )
+    assert outcome.code == 0, outcome.err
+    config.write_text(
+        f'[ingest]\nscene = "{source}"\n'
+        '[[model]]\nname = "thing"\npath = "cut.ply"\nvisible_from = "above"\n'
+    )
+    outcome = cli("run", config, "--rerun", "off", "-o", tmp_path / "run")
+    assert outcome.code == 0, outcome.err
+    found = json.loads((tmp_path / "run" / "detections.json").read_text())["detections"]
+    own = [d for d in found if math.dist(d["position_scene"][:2], at[:2]) < 1]
+    assert max(d["score"] for d in own if d["fate"] == "accepted") >= 0.9
 
 
 def test_a_colmap_model_comes_with_its_cameras(cli: Cli, shared_data: Path, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -111,6 +112,8 @@ def test_cut_model_finds_its_own_kind(cli: Cli, yard: Yard, yard_run: YardRun) -
     assert outcome.code == 0, outcome.err
     cli("eval", yard_run.output, "--truth", labels(yard, yard_run.folder))
     assert report(yard_run.output)["accepted"]["recall"] == 1.0
+    own = [d for d in yard_run.detections() if math.dist(d["position_scene"][:2], (x, y)) < 1]
+    assert max(d["score"] for d in own if d["fate"] == "accepted") >= 0.9
 
 
 @pytest.mark.parametrize(
