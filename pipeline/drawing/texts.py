@@ -44,7 +44,7 @@ def candidate_text(d: Detection) -> str:
     numbers = [
         ("score", f"{d.score:.3f}, needs {d.min_score:g}; log odds {d.log_odds:+.1f}"),
         ("correlation", f"{d.correlation:.3f}"),
-        ("residual", f"{d.rms_m:.3f} m, over a weight of {d.inlier_weight:.0f}"),
+        ("residual", f"{d.rms_m:.3f} m of the points within {d.gate_m:.2f} m"),
         ("runner-up", rival if math.isfinite(d.runner_up_rms_m) else "none"),
         ("margin of the heading", f"{d.heading_margin:.2f}"),
         ("model's surface seen", f"{d.coverage_model:.0%}, observed {d.observed:.0%}"),

@@ -295,7 +295,7 @@ import sys
 from pathlib import Path
 import numpy as np
 from spinpipe.stages.ingest.tiling import POINT
-from test_ingest import ingest
+from tests.unit.ingest.test_ingest import ingest
 
 folder, count = Path(sys.argv[1]), int(sys.argv[2])
 small = folder / "small.ply"
@@ -330,7 +330,7 @@ def test_memory_does_not_grow_with_the_scene(tmp_path: Path) -> None:
     """3 million points take 45 MB on disk, 81 MB as arrays; within 100 MB the stage needs less."""
     command = [sys.executable, "-c", _MEASURED, str(tmp_path), "3000000"]
     done = subprocess.run(
-        command, cwd=Path(__file__).parent, capture_output=True, text=True, check=False
+        command, cwd=Path(__file__).parents[3], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     assert float(done.stdout) < 60

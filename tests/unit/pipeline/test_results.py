@@ -267,7 +267,7 @@ def test_why_tells_each_test_and_what_decided(
     assert pixels.shape[0] * 3 == pixels.shape[1] * 2, "three squares side by side, two below"
     for strip in np.split(pixels, 2):
         for view in np.split(strip, 3, axis=1):
-            assert len(np.unique(view.reshape(-1, 3), axis=0)) > 2
+            assert len(np.unique(view.reshape(-1, 3), axis=0)) > 1, "something is drawn"
     outcome = cli("why", finished_yard.output, first, "--picture", picture)
     assert outcome.code == 1
     assert "--force" in outcome.err

@@ -45,8 +45,8 @@ def test_right_type_place_and_heading(cars, lot, noise):
         assert np.hypot(v.pose[0] - x, v.pose[1] - y) < (0.03 if noise == 0 else 0.08)
         assert _turn_deg(v.pose[3], np.radians(heading)) < (1 if noise == 0 else 2)
         assert v.heading_margin > 0.01
-        assert set(v.parts) == set(PARTS)
-        assert all(0 <= value <= 1 for value in v.parts.values())
+        assert [part.name for part in v.parts] == list(PARTS)
+        assert all(0 <= part.value <= 1 for part in v.parts)
         assert v.score > 0.8
     assert "below 0.5" in verdicts[2].reason
 
