@@ -31,8 +31,9 @@ def detection_table(detections: Sequence[Detection]) -> Group:
     table.add_column("id", justify="right")
     table.add_column("model")
     frames = {"x": "scene", "y": "scene", "z": "scene", "heading": "world", "rms": "m"}
-    for name in (*frames, "score"):
-        table.add_column(f"{name}\n{frames.get(name, '')}", justify="right", no_wrap=True)
+    for name, unit in frames.items():
+        table.add_column(f"{name}\n{unit}", justify="right", no_wrap=True)
+    table.add_column("score", justify="right", no_wrap=True)
     table.add_column("fate")
     for d in shown[:MAX_ROWS]:
         position = (f"{v:z.2f}" for v in d.position_scene)

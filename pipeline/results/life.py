@@ -153,7 +153,9 @@ def _registration(d: Detection, read: ReadTopic) -> list[Test]:
         tests.append(Test("verify", "next best model", rival))
     seen = f"{d.coverage_model:.0%} of the model's visible surface seen, {d.observed:.0%} observed"
     tests.append(Test("verify", "model in the scene", seen))
-    tests.append(Test("verify", "scene in the model", f"{d.coverage_scene:.0%} explained, chance included"))
+    tests.append(
+        Test("verify", "scene in the model", f"{d.coverage_scene:.0%} explained, chance included")
+    )
     if d.tilt_deg >= LEANING_DEG:
         tests.append(Test("verify", "leans with its support", f"{d.tilt_deg:.1f}°"))
     return tests
