@@ -12,8 +12,8 @@ from scipy.ndimage import distance_transform_edt, grey_opening
 
 from spinpipe.schemas.arrays import F64, I64, Mask
 
-GRADE = 0.1
-"""By how much ground may slope to either side of a crest: chosen."""
+GRADE = 0.05
+"""By how much ground may slope to either side of a crest: roads are crowned by 2 to 4 %."""
 
 
 @dataclass(frozen=True)

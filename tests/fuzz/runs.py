@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import math
 import os
 import random
 import resource
@@ -36,6 +37,8 @@ from spinpipe.pipeline.errors import INTERNAL_ERROR
 
 COMMAND = (sys.executable, "-c", "from spinpipe.pipeline.entry import main; main()")
 RESULTS = ("detections.json", "detections.csv", "detections.ply")
+PAGE = 4096
+"""Bytes that a file system hands out at once."""
 LIMIT_S = 300.0
 
 
@@ -208,7 +211,7 @@ def full(scene: Scene, sizes: int, rng: random.Random) -> Counter[str]:
     for number in range(sizes):
         share = (number + rng.random()) / sizes
         shutil.rmtree(scene.output, ignore_errors=True)
-        limit = int(share * used) + 4096
+        limit = int(share * used) + PAGE
         folder = scene.output
         if mounted:
             folder = scene.folder / "disk" / "run"
@@ -223,9 +226,10 @@ def full(scene: Scene, sizes: int, rng: random.Random) -> Counter[str]:
 
         if number % 2:
             folder.mkdir()
+            room = limit
             for path in sorted(copy.iterdir()):
-                limit -= path.stat().st_size
-                if limit > 0:
+                room -= PAGE + math.ceil(path.stat().st_size / PAGE) * PAGE  # its entry, its data
+                if room > 0:
                     shutil.copy2(path, folder)
         code, said = Fork(*options, before=limited).end()
         count["runs"] += 1
