@@ -3,11 +3,25 @@
 from __future__ import annotations
 
 import sys
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from spinpipe.pipeline.cli_options import (
+    ConfigArgument,
+    ExportFormat,
+    ForceOption,
+    Frame,
+    FromOption,
+    OutputOption,
+    RerunMode,
+    RerunOption,
+    Role,
+    RunArgument,
+    SetOption,
+    UntilOption,
+)
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -17,69 +31,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Find every instance of a known object in a point cloud reconstructed from photos.",
 )
-
-
-class RerunMode(StrEnum):
-    """Where the recording goes."""
-
-    save = "save"
-    spawn = "spawn"
-    connect = "connect"
-    off = "off"
-
-
-class ExportFormat(StrEnum):
-    """What ``export`` writes."""
-
-    csv = "csv"
-    json = "json"
-    geojson = "geojson"
-    ply = "ply"
-    obj = "obj"
-    kitti = "kitti"
-    las = "las"
-    mcap = "mcap"
-
-
-class Role(StrEnum):
-    """What a file is looked at as."""
-
-    scene = "scene"
-    model = "model"
-
-
-class Frame(StrEnum):
-    """Coordinates of labels."""
-
-    scene = "scene"
-    world = "world"
-
-
-ConfigArgument = Annotated[Path, typer.Argument(metavar="CONFIG", help="The run's TOML file.")]
-OutputOption = Annotated[
-    Path | None,
-    typer.Option("--output", "-o", metavar="DIR", help="The run's folder (recordings/<name>)."),
-]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Override one key; repeatable."),
-]
-FromOption = Annotated[
-    str | None, typer.Option("--from", metavar="STAGE", help="Run this stage and all after it.")
-]
-UntilOption = Annotated[
-    str | None, typer.Option("--until", metavar="STAGE", help="Stop after this stage.")
-]
-RerunOption = Annotated[
-    RerunMode,
-    typer.Option(
-        "--rerun",
-        help="save: run.rrd in the run's folder; spawn: a viewer; connect: a running viewer.",
-    ),
-]
-ForceOption = Annotated[
-    bool, typer.Option("--force", help="Replace files that are not from spinpipe.")
-]
 
 
 @app.command()
@@ -181,7 +132,7 @@ def stages() -> None:
 
 @app.command()
 def record(
-    folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder.")],
+    folder: RunArgument,
     rerun: RerunOption = RerunMode.save,
     truth: Annotated[
         Path | None,
@@ -197,7 +148,7 @@ def record(
 
 @app.command()
 def status(
-    folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder.")],
+    folder: RunArgument,
 ) -> None:
     """Say what of a run is there, and whether it is being worked on."""
     from spinpipe.pipeline.results.status import status_command
@@ -207,7 +158,7 @@ def status(
 
 @app.command()
 def why(
-    folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder.")],
+    folder: RunArgument,
     candidates: Annotated[
         list[int], typer.Argument(metavar="ID...", min=0, help="Ids of candidates.")
     ],
@@ -228,7 +179,7 @@ def why(
 
 @app.command()
 def view(
-    folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder.")],
+    folder: RunArgument,
     candidate: Annotated[
         int | None, typer.Option(metavar="ID", min=0, help="Go to this candidate.")
     ] = None,
@@ -257,7 +208,7 @@ def diff(
 
 @app.command()
 def export(
-    folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder.")],
+    folder: RunArgument,
     name: Annotated[ExportFormat, typer.Option("--format", "-f", help="What to write.")],
     fates: Annotated[
         str, typer.Option("--fate", metavar="FATE[,FATE]", help="Which candidates.")
@@ -280,7 +231,7 @@ def export(
 
 @app.command("eval")
 def evaluate(
-    folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder.")],
+    folder: RunArgument,
     truth: Annotated[
         Path,
         typer.Option(
@@ -353,7 +304,7 @@ app.add_typer(model_app, name="model")
 
 @model_app.command("cut")
 def model_cut(
-    folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder.")],
+    folder: RunArgument,
     at: Annotated[str, typer.Option(metavar="X,Y[,Z]", help="Its base centre, scene coordinates.")],
     size: Annotated[
         str, typer.Option(metavar="L,W,H", help="Length, width, height of the box, metres.")

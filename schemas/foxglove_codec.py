@@ -14,15 +14,8 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 
 from spinpipe.schemas.arrays import F32, F64, U8
-from spinpipe.schemas.records import (
-    Calibration,
-    Cameras,
-    CloudTile,
-    InstancePoses,
-    ScoreTile,
-    Trajectory,
-    Upright,
-)
+from spinpipe.schemas.poses import Calibration, Cameras, InstancePoses, Trajectory
+from spinpipe.schemas.records import CloudTile, ScoreTile, Upright
 
 _FLOAT32 = PackedElementField.NumericType.FLOAT32
 _UINT8 = PackedElementField.NumericType.UINT8

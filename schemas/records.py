@@ -77,53 +77,6 @@ class SceneFrame:
 
 
 @dataclass(frozen=True)
-class Poses:
-    """Where things are and how they are turned."""
-
-    positions: F64
-    """(N, 3) metres."""
-    quaternions_xyzw: F64
-    """(N, 4) rotation from the thing's own frame."""
-
-
-@dataclass(frozen=True)
-class Cameras(Poses):
-    """Where the photos were taken from, local frame; a camera looks along its +z, its -y is up."""
-
-    names: tuple[str, ...]
-    """(N,) of the photos: files below the folder of photos where the format names them."""
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """How one camera maps directions to pixels, in the words of OpenCV and ROS."""
-
-    camera: str
-    """Name of its photo."""
-    width: int
-    height: int
-    K: F64
-    """(3, 3) pixels, the middle of the first pixel at (0, 0); all zero where it has none."""
-    distortion_model: str
-    """``plumb_bob``, ``rational_polynomial`` or ``kannala_brandt``; else COLMAP's name of it."""
-    D: tuple[float, ...]
-    """Parameters of that model, in its order."""
-
-
-@dataclass(frozen=True)
-class Trajectory(Poses):
-    """Where a lidar was at each of its sweeps, local frame."""
-
-    times_ns: I64
-    """(N,) of the sweeps, since the epoch of the log."""
-
-
-@dataclass(frozen=True)
-class InstancePoses(Poses):
-    """Base centres and rotations of the accepted instances, world, for viewers."""
-
-
-@dataclass(frozen=True)
 class ObjectModel:
     """A model of an object: a cloud of its visible surface, and its mesh where there is one."""
 
@@ -295,37 +248,36 @@ class Cluster:
 
 @dataclass(frozen=True, eq=False)
 class BlockHypotheses:
-    """What a look at the candidates of one block found: S hypotheses, and the way to K of them.
+    """What a look at the candidates of one block found; an interrupted run goes on after the last.
 
-    A run that was interrupted goes on after the last one.
+    Attributes
+    ----------
+    look : 1 or 2.
+    candidate, model : (S,) rows of the clusters and of the models.
+    start, pose : (S, 7) where registration began and ended: base centre, world, metres; yaw,
+        radians; stretch.
+    lean : (S, 2) slopes of the support along x and y.
+    parts : (S, P) of the score, see ``Detection.parts``.
+    evidence : (S, E) what was counted and measured at the pose.
+    odds : (S,) logarithm of the odds that it is an instance.
+    course_candidate, course_length : (K,) whose ways are kept, and how many poses each has.
+    course_poses, course_rms_m : the poses (sum of the lengths, 7) of one way after the other, and
+        the residuals there.
     """
 
     look: int
-    """1 or 2."""
     candidate: I64
-    """(S,) rows of the clusters."""
     model: I64
-    """(S,) rows of the models."""
     start: F64
-    """(S, 7) where registration began: base centre, world, metres; yaw, radians; stretch."""
     pose: F64
-    """(S, 7) where it ended."""
     lean: F64
-    """(S, 2) slopes of the support along x and y."""
     parts: F64
-    """(S, P) parts of the score, see ``Detection.parts``."""
     evidence: F64
-    """(S, E) what was counted and measured at the pose."""
     odds: F64
-    """(S,) logarithm of the odds that it is an instance."""
     course_candidate: I64
-    """(K,) rows of the clusters."""
     course_length: I64
-    """(K,) poses on each way."""
     course_poses: F64
-    """(sum of the lengths, 7) one way after the other, world."""
     course_rms_m: F64
-    """(sum of the lengths,) residuals."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ from spinpipe.pipeline.drawing.photos import draw_cameras, photos_of
 from spinpipe.pipeline.drawing.preview import preview
 from spinpipe.schemas import CAMERAS, CLOUD, SCENE, TILES, TRAJECTORY
 from spinpipe.schemas.arrays import F32, F64
-from spinpipe.schemas.records import Cameras, SceneFrame, TileIndex
+from spinpipe.schemas.poses import Cameras
+from spinpipe.schemas.records import SceneFrame, TileIndex
 from spinpipe.stages.geometry.frames import quaternion_matrix
 
 CAMERA_SHARE = 0.02

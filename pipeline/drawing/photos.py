@@ -20,7 +20,8 @@ from spinpipe.pipeline.drawing.boxes import boxes_of
 from spinpipe.pipeline.drawing.drawing import LOCAL, Reader, at_candidate, clear_stale
 from spinpipe.schemas import CALIBRATIONS, CAMERAS, SCENE, UPRIGHT
 from spinpipe.schemas.arrays import F64
-from spinpipe.schemas.records import Calibration, Detection
+from spinpipe.schemas.poses import Calibration
+from spinpipe.schemas.records import Detection
 from spinpipe.stages.geometry.frames import inverse, quaternion_matrix, transform
 
 PATH = "candidate/photo"

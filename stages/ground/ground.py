@@ -12,15 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from spinpipe.schemas import CAMERAS, CLOUD, PLANE, SAMPLING, SCENE, TILES, TRAJECTORY, UPRIGHT
 from spinpipe.schemas.arrays import F32, F64, Mask
-from spinpipe.schemas.records import (
-    Evidence,
-    Level,
-    Plane,
-    Sampling,
-    SceneFrame,
-    Trajectory,
-    Upright,
-)
+from spinpipe.schemas.poses import Trajectory
+from spinpipe.schemas.records import Evidence, Level, Plane, Sampling, SceneFrame, Upright
 from spinpipe.stages.geometry.sampling import measure_sampling
 from spinpipe.stages.geometry.skin import blur_of
 from spinpipe.stages.geometry.world_cloud import WorldCloud

@@ -11,7 +11,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from spinpipe.schemas.arrays import F64
-from spinpipe.schemas.records import Cameras, Vector
+from spinpipe.schemas.poses import Cameras
+from spinpipe.schemas.records import Vector
 from spinpipe.stages.stage import Section, StageError
 
 _FEWEST = 4

@@ -15,7 +15,7 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from spinpipe.schemas.arrays import F64, I64
-from spinpipe.schemas.records import Trajectory
+from spinpipe.schemas.poses import Trajectory
 from spinpipe.stages.ingest.readers.mcap import McapSource, Sweep
 from spinpipe.stages.ingest.readers.scene_source import MemorySource
 from spinpipe.stages.stage import Section, StageError

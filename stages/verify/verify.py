@@ -23,7 +23,8 @@ from spinpipe.schemas import (
     TRACES,
     UPRIGHT,
 )
-from spinpipe.schemas.records import Detection, FitTrace, InstancePoses
+from spinpipe.schemas.poses import InstancePoses
+from spinpipe.schemas.records import Detection, FitTrace
 from spinpipe.stages.geometry.frames import inverse, rotation_quaternion, world_from_scene
 from spinpipe.stages.geometry.world_cloud import WorldCloud
 from spinpipe.stages.stage import Context, Progress, Section

@@ -21,7 +21,8 @@ from scipy.spatial.transform import Rotation
 
 from spinpipe.pipeline.scenes.artificial import make_scene
 from spinpipe.schemas import CAMERAS, CLOUD, PLANE, SCENE, TILES, TRAJECTORY, UPRIGHT
-from spinpipe.schemas.records import Cameras, CloudTile, Plane, SceneFrame, TileIndex
+from spinpipe.schemas.poses import Cameras
+from spinpipe.schemas.records import CloudTile, Plane, SceneFrame, TileIndex
 from spinpipe.stages.ground.ground import Ground
 from spinpipe.stages.ingest.readers.open_scene import open_scene
 from spinpipe.stages.stage import StageError

@@ -13,8 +13,8 @@ import pytest
 from tests.resume.going_on import assert_same_results, ran
 
 distributed = pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
-import dask.config  # noqa: E402
-from distributed.utils import get_mp_context  # noqa: E402
+dask_config = pytest.importorskip("dask.config")
+distributed_utils = pytest.importorskip("distributed.utils")
 
 from spinpipe.pipeline import engine  # noqa: E402
 from spinpipe.pipeline.commands import execute  # noqa: E402
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
 @pytest.fixture(scope="module")
 def cluster():
-    dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"})
+    dask_config.set({"distributed.worker.multiprocessing-method": "forkserver"})
     # imported once, by the process that workers are forked from
-    get_mp_context().set_forkserver_preload(["distributed", "spinpipe.stages"])
+    distributed_utils.get_mp_context().set_forkserver_preload(["distributed", "spinpipe.stages"])
     with distributed.LocalCluster(
         n_workers=2,
         threads_per_worker=1,

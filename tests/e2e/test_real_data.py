@@ -23,6 +23,9 @@ from spinpipe.stages.geometry.frames import transform, world_from_scene
 if TYPE_CHECKING:
     from tests.conftest import Cli, Outcome
 
+takes_minutes = pytest.mark.skipif(
+    not os.environ.get("SPINPIPE_ALL_DATA"), reason="two minutes; SPINPIPE_ALL_DATA=1 runs it"
+)
 CARPARK = Path(__file__).parents[2] / "recordings" / "carpark.toml"
 
 
@@ -77,9 +80,7 @@ def test_a_car_park_gives_its_cars(cli: Cli, shared_data: Path, tmp_path: Path) 
     assert len(report["false"]) <= 1
 
 
-@pytest.mark.skipif(
-    not os.environ.get("SPINPIPE_ALL_DATA"), reason="two minutes; SPINPIPE_ALL_DATA=1 runs it"
-)
+@takes_minutes
 @pytest.mark.parametrize(("name", "cars"), [("photo-west", 32), ("lot-north", 71)])
 def test_a_whole_car_park_gives_its_cars(
     cli: Cli, shared_data: Path, tmp_path: Path, name: str, cars: int
@@ -91,9 +92,7 @@ def test_a_whole_car_park_gives_its_cars(
     assert report["accepted"]["precision"] >= 0.95
 
 
-@pytest.mark.skipif(
-    not os.environ.get("SPINPIPE_ALL_DATA"), reason="two minutes; SPINPIPE_ALL_DATA=1 runs it"
-)
+@takes_minutes
 @pytest.mark.parametrize(
     ("scene", "at", "size", "heading"),
     [

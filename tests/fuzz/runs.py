@@ -31,7 +31,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from conftest import make_yard, run_command_line, without_progress
 
-from spinpipe.pipeline.drawing import recording  # noqa: F401  # pyright: ignore[reportUnusedImport]  # once
+from spinpipe.pipeline.drawing import recording  # noqa: F401  # pyright: ignore[reportUnusedImport]  # for all forks
 from spinpipe.pipeline.entry import main as main_of_process
 from spinpipe.pipeline.errors import INTERNAL_ERROR
 

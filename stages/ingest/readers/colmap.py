@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from spinpipe.schemas.records import Calibration, Cameras
+from spinpipe.schemas.poses import Calibration, Cameras
 from spinpipe.stages.ingest.readers.coordinates import Coordinates
 from spinpipe.stages.ingest.readers.lens import MODELS, calibration
 from spinpipe.stages.ingest.readers.ply_lists import ListRows

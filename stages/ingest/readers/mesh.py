@@ -37,6 +37,7 @@ _MESH_SHARE = 0.5
 _ASSET = 1 << 16
 """Bytes at the beginning of a DAE file that hold what it says of itself."""
 _STL_TITLE = 80
+"""Bytes before the number of faces of a binary STL; text files begin with a line instead."""
 _SEED = 20100502
 """Of that sample, which belongs to the file and not to the run: 3DOR 2010, 2 May."""
 

@@ -13,7 +13,8 @@ from typing import Protocol
 import numpy as np
 
 from spinpipe.schemas.arrays import F64, U8
-from spinpipe.schemas.records import Calibration, Cameras, Trajectory, Vector
+from spinpipe.schemas.poses import Calibration, Cameras, Trajectory
+from spinpipe.schemas.records import Vector
 from spinpipe.stages.ingest.readers.coordinates import Coordinates
 
 Chunk = tuple[F64, U8]

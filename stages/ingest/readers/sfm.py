@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from spinpipe.schemas.arrays import F64
-from spinpipe.schemas.records import Cameras
+from spinpipe.schemas.poses import Cameras
 from spinpipe.stages.ingest.readers.scene_source import About, MemorySource
 from spinpipe.stages.stage import StageError
 

@@ -21,7 +21,7 @@ from tests.unit.ground.scenes import (
 )
 
 from spinpipe.schemas import SAMPLING, SCENE
-from spinpipe.schemas.records import Cameras, Trajectory
+from spinpipe.schemas.poses import Cameras, Trajectory
 from spinpipe.stages.ground.area_sample import sample_by_area
 from spinpipe.stages.ground.ground import Ground
 from spinpipe.stages.stage import StageError

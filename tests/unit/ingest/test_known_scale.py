@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from spinpipe.schemas.arrays import F64
-from spinpipe.schemas.records import Cameras
+from spinpipe.schemas.poses import Cameras
 from spinpipe.stages.ingest.ingest import Ingest
 from spinpipe.stages.ingest.known_scale import ScaleFrom, earth_centred, gps_of, known_scale
 from spinpipe.stages.stage import StageError

@@ -35,8 +35,8 @@ from spinpipe.schemas import (
     TRAJECTORY,
     UPRIGHT,
 )
+from spinpipe.schemas.poses import Cameras, Trajectory
 from spinpipe.schemas.records import (
-    Cameras,
     CloudTile,
     Cluster,
     Detection,
@@ -51,7 +51,6 @@ from spinpipe.schemas.records import (
     ScoreTile,
     SpinImage,
     TileIndex,
-    Trajectory,
     Upright,
 )
 from spinpipe.schemas.topics import Topic

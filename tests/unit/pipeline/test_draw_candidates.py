@@ -43,11 +43,8 @@ from spinpipe.schemas import (
     TRACES,
     UPRIGHT,
 )
-from spinpipe.schemas.records import (
-    Calibration,
-    Cameras,
-    Upright,
-)
+from spinpipe.schemas.poses import Calibration, Cameras
+from spinpipe.schemas.records import Upright
 
 pytestmark = pytest.mark.usefixtures("strict")
 

@@ -20,6 +20,7 @@ from spinpipe.schemas import (
     UPRIGHT,
 )
 from spinpipe.schemas import records as r
+from spinpipe.schemas.poses import Calibration, Cameras, InstancePoses, Trajectory
 
 
 def points(count: int, seed: int = 0) -> np.ndarray:
@@ -115,20 +116,20 @@ def test_poses_come_back_also_when_there_are_none() -> None:
         positions, quaternions = rng.normal(size=(count, 3)), rng.normal(size=(count, 4))
         names = tuple(f"photos/{i}.jpg" for i in range(count))
         cameras = CAMERAS.decode(
-            CAMERAS.encode(r.Cameras(positions, quaternions, names)).SerializeToString()
+            CAMERAS.encode(Cameras(positions, quaternions, names)).SerializeToString()
         )
         np.testing.assert_array_equal(cameras.positions, positions)
         np.testing.assert_array_equal(cameras.quaternions_xyzw, quaternions)
         assert cameras.names == names
         times = rng.integers(0, 2**62, count)
         path = TRAJECTORY.decode(
-            TRAJECTORY.encode(r.Trajectory(positions, quaternions, times)).SerializeToString()
+            TRAJECTORY.encode(Trajectory(positions, quaternions, times)).SerializeToString()
         )
         np.testing.assert_array_equal(path.positions, positions)
         np.testing.assert_array_equal(path.quaternions_xyzw, quaternions)
         np.testing.assert_array_equal(path.times_ns, times)
         poses = INSTANCES.decode(
-            INSTANCES.encode(r.InstancePoses(positions, quaternions)).SerializeToString()
+            INSTANCES.encode(InstancePoses(positions, quaternions)).SerializeToString()
         )
         np.testing.assert_array_equal(poses.positions, positions)
         np.testing.assert_array_equal(poses.quaternions_xyzw, quaternions)
@@ -136,7 +137,7 @@ def test_poses_come_back_also_when_there_are_none() -> None:
 
 def test_a_calibration_comes_back_and_is_complete() -> None:
     K = np.array([[800.0, 0, 319.5], [0, 810.0, 239.5], [0, 0, 1]])
-    calibration = r.Calibration("a.jpg", 640, 480, K, "plumb_bob", (0.1, 0.0, 0.0, 0.0, 0.0))
+    calibration = Calibration("a.jpg", 640, 480, K, "plumb_bob", (0.1, 0.0, 0.0, 0.0, 0.0))
     message: Any = CALIBRATIONS.encode(calibration)
     back = CALIBRATIONS.decode(message.SerializeToString())
     np.testing.assert_array_equal(back.K, K)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spinpipe.schemas.records import Calibration
+from spinpipe.schemas.poses import Calibration
 from spinpipe.stages.ingest.readers.lens import MODELS, calibration
 from spinpipe.stages.ingest.readers.open_scene import open_scene
 from spinpipe.stages.stage import StageError
