@@ -37,14 +37,15 @@ def candidate_text(d: Detection) -> str:
         f"### Candidate {d.id}: {d.model} {fate}",
         f"**{d.reason}**" + (f" (cause: {d.cause})" if d.cause else ""),
         "",
-        f"x_scene {x:.2f}, y_scene {y:.2f}, z_scene {z:.2f}; heading_world {d.heading_deg:.0f}°, "
-        f"leaning {d.tilt_deg:.0f}°",
+        f"x_scene {x:z.2f}, y_scene {y:z.2f}, z_scene {z:z.2f}; "
+        f"heading_world {d.heading_deg:.0f}°, leaning {d.tilt_deg:.0f}°",
     ]
     rival = f"{d.runner_up_rms_m:.3f} m at {d.runner_up_heading_deg:.0f}°"
     numbers = [
-        ("score", f"{d.score:.3f}, needs {d.min_score:g}; log odds {d.log_odds:+.1f}"),
+        ("score", f"{d.score:.3f}, needs {d.min_score:g}"),
+        ("log odds", f"{d.log_odds:+.1f}"),
         ("correlation", f"{d.correlation:.3f}"),
-        ("residual", f"{d.rms_m:.3f} m of the points within {d.gate_m:.2f} m"),
+        ("residual", f"{d.rms_m:.3f} m, within {d.gate_m:.2f} m"),
         ("runner-up", rival if math.isfinite(d.runner_up_rms_m) else "none"),
         ("margin of the heading", f"{d.heading_margin:.2f}"),
         ("model's surface seen", f"{d.coverage_model:.0%}, observed {d.observed:.0%}"),

@@ -132,7 +132,7 @@ def _scan(d: Detection, read: ReadTopic, config: RunConfig) -> list[Test]:
         )
     )
     x, y, z = cluster.position
-    tests.append(Test("cluster", "found at, world", f"x {x:.2f}  y {y:.2f}  z {z:.2f} m"))
+    tests.append(Test("cluster", "found at, world", f"x {x:z.2f}  y {y:z.2f}  z {z:z.2f} m"))
     return tests
 
 

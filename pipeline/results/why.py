@@ -56,7 +56,7 @@ def life_table(life: Life, folder: Path) -> Group:
     lines = [
         Text(f"candidate {d.id}: {d.model}, {d.fate}", style="bold"),
         Text(d.reason),
-        Text(f"at x_scene {x:.2f}  y_scene {y:.2f}  z_scene {z:.2f}\n"),
+        Text(f"at x_scene {x:z.2f}  y_scene {y:z.2f}  z_scene {z:z.2f}\n"),
         _tests(life),
     ]
     if d.parts:

@@ -32,6 +32,7 @@ from spinpipe.pipeline.drawing.recording import (
     open_recording,
     record_stage,
 )
+from spinpipe.pipeline.drawing.texts import candidate_text
 from spinpipe.pipeline.drawing.threshold import Truth
 from spinpipe.pipeline.drawing.verify import BOXED
 from spinpipe.schemas import (
@@ -257,3 +258,11 @@ def test_notes_follow_the_cursor(recording: Path) -> None:
     assert "yard.ply" in texts[0]
     assert "1 accepted, 1 ambiguous, 1 rejected" in texts[STAGE_NUMBER["verify"] - 1]
     assert "rejected for a reason" in texts[-1]
+
+
+def test_no_number_beside_a_candidate_is_cut() -> None:
+    """The pane of the notes is as wide as 24 characters behind the names."""
+    for detection in make_run()(DETECTIONS):
+        rows = [line for line in candidate_text(detection).splitlines() if line.startswith("| ")]
+        assert len(rows) > 6
+        assert all(len(row.split(" | ")[1].rstrip(" |")) <= 24 for row in rows[1:])
